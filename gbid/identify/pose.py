@@ -29,7 +29,7 @@ from gbid.identify.problem.assemble import (
     with_extra_terms,
 )
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
-from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, integrated_finely
+from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, Refinement, integrated_finely, refinement
 from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
@@ -328,18 +328,24 @@ def minimise(problem: PosedProblem) -> Optimum:
     """
     task, box = problem.task, problem.box
 
-    def run(start: FloatArray, shooting: Shooting | None = None, *, rough: bool = False) -> Solution:
-        return solve(shooting or problem.shooting, start, *box, task.options, rough=rough)
+    def run(start: FloatArray, shooting: Shooting | None = None) -> Solution:
+        return solve(shooting or problem.shooting, start, *box, task.options)
 
-    predictor = problem.shooting.parts[0].predictor
-    rough = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
-    notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box), rough=rough)
+    def is_coarse(unknowns: FloatArray) -> bool:
+        ahead.append(refinement(problem.shooting, unknowns, box))
+        return ahead[0].off > TOLERATED
+
+    predictor, ahead = problem.shooting.parts[0].predictor, list[Refinement]()
+    adapts = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
+    notes, start = tuple[str, ...](), np.clip(problem.unknowns, *box)
+    solution = solve(problem.shooting, start, *box, task.options, is_coarse if adapts else None)
     first = solution.history[0].cost if solution.history else np.nan
     for _ in range(_ROUNDS):
-        start = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
-        if start is None:
+        better = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
+        if better is None:
             break
-        other, iterations = run(start, rough=rough), solution.iterations
+        other, iterations = run(better), solution.iterations
+        ahead.clear()
         costs = [problem.shooting.at(each.unknowns).cost for each in (other, solution)]
         lower = other.status.success and costs[0] < costs[1]
         notes = (FOUND,) if lower else (*notes, SUSPECTED)
@@ -350,7 +356,7 @@ def minimise(problem: PosedProblem) -> Optimum:
         problem, solution, shift = _cut_finely(problem, solution, task.courses)
         shooting, box = problem.shooting, problem.box
     else:
-        shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
+        shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run, ahead)
     if kind_of(task.structure).nonlinear:
         solution = _without_gaps(shooting, np.clip(problem.unknowns, *box), solution, first)
     if solution.status.success:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -28,7 +28,11 @@ ROUNDS = 3
 
 
 def integrated_finely(
-    problem: Shooting, solution: Solution, box: Box, run: Callable[[FloatArray, Shooting], Solution]
+    problem: Shooting,
+    solution: Solution,
+    box: Box,
+    run: Callable[[FloatArray, Shooting], Solution],
+    known: Sequence[Refinement] = (),
 ) -> tuple[Shooting, Solution, FloatArray | None]:
     """Return problem and solution with as many steps of the integrator as the estimates need.
 
@@ -42,6 +46,8 @@ def integrated_finely(
         Bounds of the unknowns, scaled.
     run : callable
         Solves, from a start, a problem.
+    known : sequence of Refinement
+        That near the solution, if it is known.
 
     Returns
     -------
@@ -55,21 +61,23 @@ def integrated_finely(
     predictor = problem.parts[0].predictor
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
-    steps, (ahead, shift) = predictor.steps, _ahead(problem, solution.unknowns, box)
+    steps, ahead = predictor.steps, known[0] if known else refinement(problem, solution.unknowns, box)
     for _ in range(ROUNDS if predictor.adapts else 0):
         if not solution.status.success:
             break
-        off, start = in_standard_deviations(problem, problem.at(solution.unknowns), shift), solution.unknowns
-        if off > TOLERATED:
-            steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / AIM) ** (1 / _ORDER)))
-        if off > TOLERATED and steps <= MOST_STEPS:
-            problem, start = with_steps(problem, steps), start + (ahead if np.isfinite(off) else 0.0)
+        start, is_finite = solution.unknowns, np.isfinite(ahead.off)
+        if ahead.off > TOLERATED:
+            steps = ceil(steps * min(8.0, (ahead.off / AIM) ** (1 / _ORDER))) if is_finite else steps * 4
+        is_finer = ahead.off > TOLERATED and steps <= MOST_STEPS
+        if is_finer:
+            problem, start = with_steps(problem, steps), start + (ahead.step if is_finite else 0.0)
         elif solution.status is not FitStatus.CONVERGED_ACCEPTABLY:
             break
         refined = run(np.clip(start, *box), problem)
         solution = replace(refined, iterations=solution.iterations + refined.iterations)
-        ahead, shift = _ahead(problem, solution.unknowns, box)
-    return problem, solution, shift[: problem.n_theta] * problem.theta_scale
+        if is_finer:
+            ahead = refinement(problem, solution.unknowns, box)
+    return problem, solution, ahead.shift[: problem.n_theta] * problem.theta_scale
 
 
 def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitResult:
@@ -105,16 +113,35 @@ def with_steps(problem: Shooting, steps: int) -> Shooting:
     return replace(problem, parts=tuple(parts))
 
 
-def _ahead(problem: Shooting, unknowns: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
-    """Return the way to the solution with half the step, and from that with this step; infinite where there is none."""
-    predictor = problem.parts[0].predictor
+class Refinement(NamedTuple):
+    """Way from a point to the solution with half the step of the integrator.
+
+    Attributes
+    ----------
+    step : (n_unknowns,) array
+        The Gauss-Newton step, scaled; infinite where it cannot be computed.
+    shift : (n_unknowns,) array
+        Its difference from that with the present step.
+    off : float
+        The shift in standard deviations.
+    """
+
+    step: FloatArray
+    shift: FloatArray
+    off: float
+
+
+def refinement(problem: Shooting, unknowns: FloatArray, box: Box) -> Refinement:
+    """Return the way from a point (n_unknowns,) of a nonlinear problem to the solution with half the step."""
+    predictor, iterate = problem.parts[0].predictor, problem.at(unknowns)
     assert isinstance(predictor, NonlinearPredictor)
     finer = with_steps(problem, 2 * predictor.steps)
     try:
-        here, ahead = (gauss_newton_step(each, each.at(unknowns), unknowns, box) for each in (problem, finer))
+        here = gauss_newton_step(problem, iterate, unknowns, box)
+        step = gauss_newton_step(finer, finer.at(unknowns), unknowns, box)
     except (RuntimeError, ValueError):
-        here, ahead = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
-    return ahead, ahead - here
+        here, step = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
+    return Refinement(step, step - here, in_standard_deviations(problem, iterate, step - here))
 
 
 # ---- Linear model at the working point of a nonlinear fit, with derivatives by the parameters.

@@ -421,8 +421,8 @@ class Tolerances:
     near, near_gap, ahead : float
         Step and gap at which the basin of the minimum is reached, and the iterations ahead that justify a change of
         method there.
-    rough : float
-        Step at which a solution is near enough to judge the steps of an integrator.
+    judged : float
+        Step at which a point is near enough to the minimum to judge the steps of an integrator.
     patience : int
         Iterations that a predictor may be unstable on the way, where its start was so too, or stand still.
     rest, rest_by_paper : float
@@ -442,7 +442,7 @@ class Tolerances:
     near: float = 50.0
     near_gap: float = 0.1
     ahead: float = 7
-    rough: float = 1.0
+    judged: float = 1.0
     patience: int = 5
     rest: float = 0.1
     rest_by_paper: float = 1.0
@@ -504,8 +504,8 @@ class Watch:
         Iterations of the run before; empty for the first.
     changes_over : bool
         Whether the run may end for another method.
-    rough : bool
-        Whether the run ends near the minimum already.
+    ends_near : callable, optional
+        Asked once near the minimum whether the run ends there.
     history : list of Progress
         Iterations so far.
     status : FitStatus or None
@@ -522,7 +522,7 @@ class Watch:
     box: Box
     earlier: Sequence[Progress] = ()
     changes_over: bool = False
-    rough: bool = False
+    ends_near: Callable[[FloatArray], bool] | None = None
     history: list[Progress] = field(init=False, default_factory=list)
     status: FitStatus | None = field(init=False, default=None)
     creeping: bool = field(init=False, default=False)
@@ -559,7 +559,9 @@ class Watch:
         near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
         self.creeping = creeps and problem.at(x).rate < 1
-        is_near = self.rough and sigma < limit.rough and self._sigma < limit.near and gap < limit.near_gap
+        ends = False
+        if self.ends_near and sigma < limit.judged and self._sigma < limit.near and gap < limit.near_gap:
+            ends, self.ends_near = self.ends_near(x), None
         self._previous, self._sigma = x, sigma
         self._unstable = self._unstable + 1 if problem.noise and problem.at(x).rate > 1 else 0
         reasons = {
@@ -570,7 +572,7 @@ class Watch:
             FitStatus.CONVERGED_AT_ROUNDING: (
                 problem.extra is None and cost <= problem.exact_cost and gap < limit.exact_gap
             ),
-            FitStatus.CONVERGED_ACCEPTABLY: is_near,
+            FitStatus.CONVERGED_ACCEPTABLY: ends,
         }
         self.status = next((status for status, holds in reasons.items() if holds), None)
         return self.status is not None or self.creeping or self.interrupt.error is not None
@@ -648,8 +650,7 @@ def solve(
     lower: FloatArray,
     upper: FloatArray,
     options: FitArguments = FitArguments(),  # noqa: B008
-    *,
-    rough: bool = False,
+    ends_near: Callable[[FloatArray], bool] | None = None,
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
@@ -668,8 +669,8 @@ def solve(
         Options of a fit: `stop`, `max_iterations`, `progress` and `ipopt`. "tolerance" stops by IPOPT's own test or at
         a step far below the estimates' standard deviations, whichever is met first; "paper" at a relative change of
         the parameters below 1e-4 (Sec. 3.6).
-    rough : bool
-        Whether to end near the minimum already, as "converged acceptably".
+    ends_near : callable, optional
+        Asked once, with the unknowns near the minimum, whether to end there, as "converged acceptably".
 
     Returns
     -------
@@ -685,9 +686,9 @@ def solve(
     most = options.max_iterations
     with _interruptible() as interrupt:
         runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
-        first, watch = runs.run(start, most, changes_over=True, rough=rough)
+        first, watch = runs.run(start, most, changes_over=True, ends_near=ends_near)
         if not watch.creeping:
-            if not (rough and first.status is FitStatus.CONVERGED_ACCEPTABLY):
+            if not (ends_near and first.status is FitStatus.CONVERGED_ACCEPTABLY):
                 first = runs.at_rest(first, most)
             return replace(first, phases=(_phase(problem, first),))
         joined, kept = in_one_window(problem)
@@ -744,11 +745,11 @@ class _Runs:
         tolerance: float = TOLERANCES.solver,
         earlier: Sequence[Progress] = (),
         changes_over: bool = False,
-        rough: bool = False,
+        ends_near: Callable[[FloatArray], bool] | None = None,
     ) -> tuple[Solution, Watch]:
         """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
         problem, (lower, upper), trouble = self.problem, self.box, Trouble(most=TOLERANCES.farthest)
-        watch = Watch(problem, self.options, self.interrupt, self.box, earlier, changes_over, rough)
+        watch = Watch(problem, self.options, self.interrupt, self.box, earlier, changes_over, ends_near)
         functions = nlp_functions(problem, self.curvature(problem), trouble)
         n, m, names = problem.n_unknowns, len(functions.lower), ca.nlpsol_out()
         sizes = {"f": (1, 1), "x": (n, 1), "g": (m, 1), "lam_x": (n, 1), "lam_g": (m, 1), "lam_p": (0, 0)}
