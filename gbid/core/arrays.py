@@ -164,6 +164,16 @@ def one_blas_thread() -> Iterator[None]:
                 _shared.limit.restore_original_limits()
 
 
+def keep_freed_memory() -> None:
+    """Let this process keep some megabytes of the arrays that it frees, for those that follow.
+
+    The allocator of Linux (glibc) returns memory to the system beyond twice the largest block that it has seen freed,
+    and counts blocks up to 32 MB. The system clears each page before it gives it out again. Other allocators see no
+    difference.
+    """
+    np.empty(31 << 20, np.uint8)  # freed at once, and never touched
+
+
 def one_solver() -> AbstractContextManager[Any]:
     """Return a context that one thread of the process is in at a time: MUMPS, which IPOPT uses, is not thread-safe."""
     return _shared.turn

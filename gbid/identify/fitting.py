@@ -10,7 +10,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import FloatArray, keep_freed_memory, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.notes import FitNote
@@ -30,6 +30,7 @@ from gbid.structure.parameter import asked_once
 def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitResult:
     """Return the fit of a structure to recordings; see `fit`."""
     began = time.perf_counter()
+    keep_freed_memory()
     with asked_once():
         in_time, responses = apart(recordings)
         if responses and not in_time:
