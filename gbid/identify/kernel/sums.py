@@ -478,15 +478,11 @@ def by_segments(blocks: Blocks, passes: Sequence[Sweep]) -> list[Sweep]:
     )
     linked = linked_along(windows, passes[0].end_theta, passes[0].end_start)
     none = linked.by_theta[:0]
-    return [
-        joined(
-            windows,
-            BlockSums(s.hessian, s.error_products, s.gradient[None], s.gradient_start, s.hessian_mixed, s.end, none),
-            s.hessian_start,
-            linked,
-        )
+    sums = (
+        BlockSums(s.hessian, s.error_products, s.gradient[None], s.gradient_start, s.hessian_mixed, s.end, none)
         for s in passes
-    ]
+    )
+    return [joined(windows, each, s.hessian_start, linked) for each, s in zip(sums, passes, strict=True)]
 
 
 def _gradient(s: Sweep, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
