@@ -108,6 +108,8 @@ def test_too_coarse_an_integration_is_refined_or_said():
     fine = gbid.fit(DUFFING, recording)
     assert fine.model.steps > 1
     assert np.abs(fine.integration_shift).max() < 0.1
+    at_once = gbid.fit(replace(DUFFING, steps=fine.model.steps), recording)  # not from the end of a coarser solve
+    assert all(abs(fine.parameters[name] - at_once.parameters[name]) < 1e-3 * at_once.std[name] for name in fine.free)
     coarse = NonlinearStructure(
         DUFFING.name, DUFFING.parameters, DUFFING.states, DUFFING.dynamics, DUFFING.output, steps=1
     )
