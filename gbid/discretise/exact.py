@@ -38,10 +38,6 @@ class Exponentials(NamedTuple):
     phi2: Any
 
 
-def _identity_like(Z: Any) -> Any:
-    return ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[-1])
-
-
 def exponentials(Z: Any, squarings: int) -> Exponentials:
     """Return ``e^Z``, ``phi_1(Z)`` and ``phi_2(Z)``.
 
@@ -57,7 +53,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
     Exponentials
         Of the same type as `Z`.
     """
-    eye = _identity_like(Z)
+    eye: Any = ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[-1])
     Z = Z / 2.0**squarings
     powers = [eye, Z]
     for _ in range(2, _BLOCK + 1):
