@@ -609,23 +609,15 @@ class GainProblem:
         return limited
 
     def _peaks(
-        self,
-        family: LoopFamily,
-        loops: Loops,
-        system: Eigensystem,
-        cuts: Sequence[Cut],
-        room: float = np.inf,
+        self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: Sequence[Cut], room: float = np.inf
     ) -> list[tuple[str, Peaks, float]]:
         """Return the peaks of all limited responses of one family: kind, peaks, limit."""
         limited = []
         for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
             if limit is not None:
                 of_kind = [cut for cut in cuts if cut.kind == kind]
-                extra = (
-                    (np.array([c.loop for c in of_kind], int), np.array([c.frequency for c in of_kind]))
-                    if of_kind
-                    else None
-                )
+                places = np.array([c.loop for c in of_kind], int), np.array([c.frequency for c in of_kind])
+                extra = places if of_kind else None
                 peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
                 limited.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:

@@ -196,16 +196,9 @@ class LocalSearch:
         """
         if self.free:
             return self.full(start)
-        radius, few = 0.02 if again else 0.1, self.options.short
+        radius, few, pace = 0.02 if again else 0.1, self.options.short, self.options.pace
         end = optimise_locally(
-            self.problem,
-            start,
-            radius=radius,
-            max_iterations=few,
-            plain=not again,
-            goal=goal,
-            pace=self.options.pace,
-            repair=False,
+            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, pace=pace, repair=False
         )
         return self._stable_one(start, end)
 
