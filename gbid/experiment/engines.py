@@ -372,7 +372,7 @@ class DaskEngine:
 
         shipped = pickle.dumps(bare_job(job))
         name = f"gbid-{hashlib.sha256(shipped).hexdigest()[:16]}"
-        self._register(_carrier(shipped), name)
+        self._register(_carrier(shipped, alone=self._cluster is not None), name)
         threads = max(1, sum(self.client.nthreads().values()))
         sent, completed = {}, as_completed()
 
@@ -473,16 +473,18 @@ def _local_cluster(n_workers: int) -> Any:
     raise AssertionError
 
 
-def _carrier(shipped: bytes) -> Any:
-    """Return a plugin that sends the job to each worker once."""
+def _carrier(shipped: bytes, alone: bool) -> Any:
+    """Return a plugin that sends the job to each worker once; `alone`: the workers run nothing else."""
     from distributed import WorkerPlugin
 
     class JobCarrier(WorkerPlugin):  # type: ignore[misc]
         def __init__(self) -> None:
-            self.shipped = shipped
+            self.shipped, self.alone = shipped, alone
 
         def setup(self, worker: Any) -> None:  # noqa: ARG002
             self.job = pickle.loads(self.shipped)
+            if self.alone:
+                collect_less()
 
     return JobCarrier()
 
