@@ -152,7 +152,7 @@ def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
     options = task.options
     if options.window != "auto":
         return (options.window,)
-    usual = automatic_window(task.data, options.focus)
+    usual = automatic_window(task.data, options.focus, kind_of(task.structure).anatomy().n_states)
     windows = usual, max(16, usual // 2), 4 * usual
     if not rate > 1:
         return windows
@@ -408,7 +408,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
         if gain is None:
             return None
         problem = replace(observed, structure=with_gain(linear, gain)).problem(
-            values, automatic_window(data, "prediction")
+            values, automatic_window(data, "prediction", kind_of(linear).anatomy().n_states)
         )
         solution = solve(problem.shooting, np.clip(problem.unknowns, *problem.box), *problem.box, observed.options)
         theta, _ = problem.shooting.unpack(solution.unknowns)

@@ -78,7 +78,7 @@ class LinearKernel(KernelOfLinear):
         """Return the state at the start of each block, with the transition of a block if it is known; see `Kernel`."""
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
-        transition = powers_of(v.F, blocks.length)[-1] if transition is None else transition
+        transition = np.linalg.matrix_power(v.F, blocks.length) if transition is None else transition
         ends = self.ends(v, blocks, np.zeros((len(v.F), len(blocks.size))))
         return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
@@ -89,7 +89,7 @@ class LinearKernel(KernelOfLinear):
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
         entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
         """
-        back = self._backwards(v, blocks, at, powers_of(v.F, blocks.length)[-1])
+        back = self._backwards(v, blocks, at, np.linalg.matrix_power(v.F, blocks.length))
         return _by_parameters(v, back.sums), back.start[:, blocks.window_first].T
 
     def left_out(

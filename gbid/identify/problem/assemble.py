@@ -281,6 +281,8 @@ _WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
 
 Measured outputs stabilise a prediction, so its windows are longer.
 """
+_MOST_STATES = 1536
+"""Most states at the starts of all windows: with more, the factorisations of the solver take most of the time."""
 _WITH_GAPS = 64
 """Samples in a window where outputs are missing or times irregular: numpy runs all windows side by side."""
 
@@ -448,7 +450,7 @@ def assemble(
             else:
                 index, tie = tie_of(chosen, names, position, ties, first_piece + piece)
             members.append(Member(i, segment, chosen, index, tie))
-    window = automatic_window(data, focus) if options.window == "auto" else options.window
+    window = automatic_window(data, focus, n_states) if options.window == "auto" else options.window
     parts, links, record_window, notes = grouped(members, window, begin)
     return Assembly(parts, links, free, first[0].unused, record_window, record_names, notes)
 
@@ -497,8 +499,8 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
     return tuple(free.values())
 
 
-def automatic_window(data: FitData, focus: Focus) -> int:
-    """Return a length of the shooting windows.
+def automatic_window(data: FitData, focus: Focus, n_states: int) -> int:
+    """Return a length of the shooting windows for a structure with so many states.
 
     It is short, so that the fit converges from bad start values. The number of windows is a multiple of the lanes.
 
@@ -522,6 +524,7 @@ def automatic_window(data: FitData, focus: Focus) -> int:
         for r in data.records
     ):
         usual, most = _WITH_GAPS, n
+    most = min(most, max(1, _MOST_STATES // (LANES * max(n_states, 1))) * LANES)
     return -(-n // min(LANES * -(-n // (usual * LANES)), most))
 
 
