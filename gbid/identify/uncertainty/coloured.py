@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -362,17 +362,18 @@ _LEAST = 0.1  # part of the covariance of the gradient that feedback of errors l
 _APART = 4096  # samples, beyond which errors are not correlated
 _AT_ONCE = 4096  # frequencies whose products are made together, in memory that is soon used again
 _LONG = 10_000  # samples of a record for which this part is negligible
+_ROOM = 32 * 2**20  # bytes of transforms of shorter records that are held between the rounds; others are made again
 
 
 def score_covariance(
-    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray, information: FloatArray | None = None
+    transforms: Sequence[Transform], weight: FloatArray, root: FloatArray, information: FloatArray | None = None
 ) -> tuple[FloatArray, list[ErrorModel]]:
     """Return the covariance of ``sum psi' W e`` for errors of the colour that the residuals have.
 
     Parameters
     ----------
-    transforms : iterable of Transform
-        Residuals of each record, and the transform of its sensitivities.
+    transforms : sequence of Transform
+        Residuals of each record, and the transform of its sensitivities; may be a `Made`.
     weight : (n_y, n_y) array
         Weight W of the errors.
     root : (n_kept, n) array
@@ -396,9 +397,10 @@ def score_covariance(
     missing, ``psi C psi'`` with the covariance C of the estimates, are added to those of the residuals.
     """
     n_kept = len(root)
-    models, short = [], []
-    long = np.zeros((2, n_kept, n_kept))  # of sensitivities as they are, and what feedback of errors changes
-    for i, transform in enumerate(transforms):
+    models, short, room = list[ErrorModel](), dict[int, tuple[Transform, FloatArray, int] | None](), _ROOM
+    long, total = np.zeros((2, 2, n_kept, n_kept))  # of sensitivities as they are, and what feedback of errors changes
+    for i in range(len(transforms)):
+        transform = transforms[i]
         products, count = _products(transform)
         models.append(error_model(products, count))
         if len(transform.errors) > _LONG:
@@ -406,19 +408,23 @@ def score_covariance(
             if information is not None:
                 _add_information(information, transform, models[i])
         else:
-            short.append((i, transform, products, count))
-    J = _joined(long, root)
-    for again in range(_ROUNDS + 1 if short else 0):
-        C, total = root @ J @ root.T, long.copy()
-        for i, transform, products, count in short:
-            if again:
-                models[i] = error_model(products + _taken(transform, C, len(products) - 1), count)
             _add(total, transform, models[i], weight)
-        J = _joined(total, root)
-    if information is not None:
-        for i, transform, _, _ in short:
-            _add_information(information, transform, models[i])
-    return J, models
+            room -= transform.psi.nbytes + products.nbytes
+            short[i] = (transform, products, count) if room > 0 else None
+    for again in range(_ROUNDS if short else 0):
+        C = root @ _joined(long + total, root) @ root.T
+        total[:] = 0.0
+        for i, kept in short.items():
+            if kept is None:
+                transform = transforms[i]
+                products, count = _products(transform)
+            else:
+                transform, products, count = kept
+            models[i] = error_model(products + _taken(transform, C, len(products) - 1), count)
+            _add(total, transform, models[i], weight)
+            if information is not None and again == _ROUNDS - 1:
+                _add_information(information, transform, models[i])
+    return _joined(long + total, root), models
 
 
 def error_models(
@@ -458,6 +464,23 @@ def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
     share, axes = scipy.linalg.eigh(change, linear + 1e-12 * np.trace(linear) * np.eye(len(linear)))
     onto = linear @ axes
     return np.asarray(linear + (onto * np.maximum(share, _LEAST - 1)) @ onto.T)
+
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Made(Sequence[Value]):
+    """Values that are made each time they are asked for: all at once would fill the memory."""
+
+    make: Callable[[int], Value]
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, i: Any) -> Any:
+        return self.make(range(self.size)[i])
 
 
 class Transform(NamedTuple):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from gbid.identify.uncertainty.coloured import (
     Bootstrap,
     ErrorModel,
     Estimator,
+    Made,
     RecordSensitivities,
     Transform,
     Whitening,
@@ -121,14 +122,14 @@ class Information(NamedTuple):
         Gauss-Newton Hessian with another weight.
     observed : (n_all, n_all) array or None
         Exact Hessian in the columns of the parameters.
-    sensitivities : iterator of RecordSensitivities
-        Sensitivities of the predictions of each record, which are made one by one.
+    sensitivities : sequence of RecordSensitivities
+        Sensitivities of the predictions of each record, which are made when they are asked for.
     """
 
     hessian: FloatArray
     shaped: FloatArray
     observed: FloatArray | None
-    sensitivities: Iterator[RecordSensitivities]
+    sensitivities: Sequence[RecordSensitivities]
 
 
 class RecordInformation(NamedTuple):
@@ -216,7 +217,7 @@ def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) 
     chains = _chains(at, sums[0])
     totals = [_total(at, each, chains) for each in sums]
     totals[0] *= here.factor
-    return Information(totals[0], totals[-1], None, iter(()))
+    return Information(totals[0], totals[-1], None, ())
 
 
 def record_information(at: Estimate, weight: FloatArray) -> list[RecordInformation]:
@@ -290,8 +291,8 @@ def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
 
 def _sensitivities(
     at: Estimate, cuts: Sequence[Blocks], passes: Sequence[Traced], chains: Chains
-) -> Iterator[RecordSensitivities]:
-    """Return an iterator over the sensitivities of the records; all at once would fill the memory."""
+) -> Made[RecordSensitivities]:
+    """Return the sensitivities of the records."""
     passed = [_Passed(*each) for each in zip(at.parts(), cuts, passes, strict=True)]
 
     def of_segment(window: int) -> _SegmentSensitivities:
@@ -301,8 +302,7 @@ def _sensitivities(
     records: list[list[int]] = [[] for _ in at.record_window]
     for window in sorted(at.segments):
         records[chains[window][1]].append(window)
-    for windows in records:
-        yield _joined([of_segment(window) for window in windows])  # holds none that it gave away
+    return Made(lambda i: _joined([of_segment(window) for window in records[i]]), len(records))
 
 
 class _Passed:
@@ -512,7 +512,7 @@ def _information_of(
         for total, W in zip(hessians, (weight, shaped), strict=True):
             products = np.einsum("yik,yz,zjk->ij", record.psi, W, record.psi, optimize=True)
             total[np.ix_(record.columns, record.columns)] += products
-    return Information(hessians[0], hessians[1], None, iter(records))
+    return Information(hessians[0], hessians[1], None, records)
 
 
 # ---- Covariance of the parameters.
@@ -680,10 +680,8 @@ def covariance(
     white = robust = over_parameters(J_white, root)
     drawn, models, onto, weighted = None, list[ErrorModel](), root, None
     if modelled:
-        # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
-        transforms: Iterable[Transform] = map(
-            partial(transformed, kept=np.flatnonzero(keep)), information.sensitivities
-        )
+        records, estimates = information.sensitivities, np.flatnonzero(keep)
+        transforms: Sequence[Transform] = Made(lambda i: transformed(records[i], estimates), len(records))
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         plain = all(segment.is_plain for part in problem.parts for segment in part.blocks.segments)
         usable = not at.filters and plain and not any(part.predictor.feeds_back for part in problem.parts)
