@@ -429,7 +429,8 @@ class Shooting:
         for e, part, first in zip(errors, self.parts, self.first_window[:-1], strict=True):
             by_window |= zip((first + part.blocks.segment_first).tolist(), part.blocks.by_segment(e), strict=True)
         chains = [self.windows_from(first) for first in first_windows]
-        return [np.concatenate([by_window[window] for window in chain if window in by_window]) for chain in chains]
+        records = [[by_window[window] for window in chain if window in by_window] for chain in chains]
+        return [np.concatenate(pieces) if len(pieces) > 1 else pieces[0] for pieces in records]
 
     def each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
         """Return the predictor of each part, the part, and the starts of its windows."""
