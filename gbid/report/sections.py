@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from operator import attrgetter
 from statistics import fmean, median
 from typing import Any
@@ -20,7 +21,7 @@ from gbid.core.index import known
 from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
-from gbid.experiment.stages.fit import load_made_fit, response_of
+from gbid.experiment.stages.fit import Row, load_made_fit, response_of
 from gbid.recording.clock import MAX_JITTER
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.control_tables import tuning_documents
@@ -67,9 +68,18 @@ from gbid.report.views import converged_words, design_lines, mode_rows, note_row
 from gbid.validate import Validation, ValidationSummary
 
 _NAMED = 5
+Kept = dict[str, tuple[object, Any]]
+"""Parts of a page that were drawn before, by name: what each stands on, and what was drawn."""
 
 
-def fits_section(results: Results, pictures: Pictures, beside: str) -> PageSection:
+def drawn_once(kept: Kept, name: str, stand: object, draw: Callable[[], Any]) -> Any:
+    """Return a part of the page as it was drawn before, if it stands on the same; else draw it."""
+    if name not in kept or kept[name][0] != stand:
+        kept[name] = stand, draw()
+    return kept[name][1]
+
+
+def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection:
     """Return the section with a summary of the fits and each of them; curves of most are in the folder `beside`."""
     title = "Fits"
     if not results.experiment.spec.fits:
@@ -105,7 +115,7 @@ def fits_section(results: Results, pictures: Pictures, beside: str) -> PageSecti
                 plot_bode({f"model of {q.model}": load_made_fit(results.job, q.fit, q.model)}, measured=measured), words
             )
             blocks.append(Fold(f"{q.fit}, {q.model}: frequency responses of {measured.name}", [Shown(picture)]))
-    data = {**fit_data(results), "beside": beside}
+    data = {**fit_data(results, kept), "beside": beside}
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
         for key, document in data["fits"].items():
@@ -119,10 +129,11 @@ def lost_fits(results: Results) -> list[Standing]:
     return [f for f in results.standings if f.stage == "fit" and f.state != "there"]
 
 
-def fit_data(results: Results) -> dict[str, Any]:
+def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
     """Return the data that the script of the page shows of each fit."""
     drawn = {name: curves_of(results, name) for name in with_curves(results)}
-    fits = {q.name: {**_document(results, q), **drawn.get(q.name, {})} for q in results.fits}
+    tables = {q.name: drawn_once(kept, q.name, q.document, partial(_shown_tables, q.document)) for q in results.fits}
+    fits = {q.name: {**_heading(results, q), **tables[q.name], **drawn.get(q.name, {})} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
@@ -176,8 +187,7 @@ def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Bloc
     return blocks
 
 
-def _document(results: Results, q: MadeFit) -> dict[str, Any]:
-    *tables, facts = fit_tables("", q.document)
+def _heading(results: Results, q: MadeFit) -> dict[str, Any]:
     names, place = ", ".join(q.document["recordings"]), _place(results, q)
     state, status = ("warn", "Converged, with notes below.") if q.document["notes"] else ("good", "Converged.")
     if not q.document["success"]:
@@ -187,6 +197,12 @@ def _document(results: Results, q: MadeFit) -> dict[str, Any]:
         "label": f"{place}: {q.model} ({q.smallest:.2f} %)",
         "state": state,
         "status": status,
+    }
+
+
+def _shown_tables(document: Row) -> dict[str, Any]:
+    *tables, facts = fit_tables("", document)
+    return {
         "tables": [
             {"columns": [[c.heading, c.left] for c in table.columns], "rows": table.texts()} for table in tables
         ],

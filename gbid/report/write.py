@@ -23,7 +23,9 @@ from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, Words, r
 from gbid.report.pictures import plot
 from gbid.report.read import REPORT, Results, made_keys, report_key
 from gbid.report.sections import (
+    Kept,
     curves_script,
+    drawn_once,
     fits_section,
     nominal_section,
     not_done,
@@ -105,8 +107,6 @@ def _write_text(made: Callable[[], str], part: Path) -> None:
     part.write_text(made(), encoding="utf-8")
 
 
-Kept = dict[tuple[object, ...], list[PageSection | None]]
-"""Sections that were drawn before, by what they stand on."""
 _LATE = (static_section, surfaces_section, controller_section, impacts_section)
 
 
@@ -122,16 +122,16 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
     beside : str
         Folder of the curves that the page does not have.
     kept : dict, optional
-        Sections of the page before, which are used again where what they stand on is the same; updated.
+        Parts of the page before, which are used again where what they stand on is the same; updated.
     """
-    pictures = Pictures()
-    static, surfaces, controller, impacts = _late_sections(results, {} if kept is None else kept)
+    pictures, kept = Pictures(), {} if kept is None else kept
+    static, surfaces, controller, impacts = _late_sections(results, kept)
     named = partial(_with_named, results=results, pictures=pictures)
     middle: list[PageSection | None] = [
         named(summary_section(results, warnings(results))),
         named(quality_section(results)),
         static,
-        named(fits_section(results, pictures, beside)),
+        named(fits_section(results, pictures, beside, kept)),
         named(loops_section(results)),
         named(validation_section(results, pictures)),
         named(nominal_section(results, pictures)),
@@ -151,12 +151,11 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
     lacking = (results.statics, results.designs, results.studies)
     reasons = [item for stage in lacking for item in stage.missing.items()]
     stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
-    if stand not in kept:
-        pictures = Pictures("late")
-        drawn = [_with_named(section(results, pictures), results, pictures) for section in _LATE]
-        kept.clear()
-        kept[stand] = drawn
-    return kept[stand]
+    pictures = Pictures("late")
+    drawn: list[PageSection | None] = drawn_once(
+        kept, "late", stand, lambda: [_with_named(section(results, pictures), results, pictures) for section in _LATE]
+    )
+    return drawn
 
 
 def _with_named(section: PageSection | None, results: Results, pictures: Pictures) -> PageSection | None:

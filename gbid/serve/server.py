@@ -36,8 +36,8 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script
 from gbid.report.read import AssessedDesign, Results, report_key
-from gbid.report.sections import curves_script
-from gbid.report.write import Kept, report_text
+from gbid.report.sections import Kept, curves_script
+from gbid.report.write import report_text
 from gbid.structure import LinearModel
 
 # ---- Closed loop of one design for any gains at one operating point: the numbers that the gain explorer draws.

@@ -257,7 +257,7 @@ def test_lost_fits_are_named_with_reasons(job, tmp_path):
     text = CAMPAIGN.replace("piezos: {structure: piezo_pair}", "piezos: {structure: piezo_pair, focus: simulation}")
     changed.write_text(text, encoding="utf-8")
     results = Results(Job(load_experiment(changed, results)))
-    fits = fit_data(results)["fits"]
+    fits = fit_data(results, {})["fits"]
     assert fits["bearing/p3_n0_prbs1"]["status"] == "missing: not made yet"
     assert fits["piezos/p3_n0_prbs1"]["status"].startswith("stale: made with other settings")
     assert fits["bearing/p3_n6000_prbs1"]["state"] in ("good", "warn")

@@ -93,6 +93,12 @@ def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
     monkeypatch.setattr("gbid.report.control_sections.design_pictures", lambda *_: drawn.append(1) or [])
     assert f"content_key: {after['key']} " not in get(server, "")
     assert drawn == []  # what the pictures of controllers stand on is the same
+    (folder / "results" / "served" / "recordings" / "p6_n0_prbs1.h5").rename(folder / "aside.h5")
+    tables = []
+    monkeypatch.setattr("gbid.report.sections.fit_tables", lambda *_: tables.append(1) or [[]])
+    assert f"piezos, {name.partition('/')[2]}" in get(server, "")
+    assert tables == []  # those of a fit that is there are the same
+    (folder / "aside.h5").rename(folder / "results" / "served" / "recordings" / "p6_n0_prbs1.h5")
     results = Results(Job(load_experiment(folder / "e.yaml")))
     assert get(server, f"report_curves/{name}.js") == curves_script(results, name)
     assert refused(server, "report_curves/piezos/none.js") == (400, "no fit 'piezos/none'")
