@@ -14,7 +14,6 @@ from gbid.cli.options import STAGE_VERBS, CommonOptions
 from gbid.cli.printing import print_json, print_notes, print_tables, tell
 from gbid.cli.progress import MANY, causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError, nearest
-from gbid.core.files import remove_stale_parts
 from gbid.core.index import load_index
 from gbid.core.tables import Column, Table
 from gbid.experiment.campaign import collect, read_shard, run_campaign, working
@@ -186,15 +185,6 @@ def opened(experiment: Experiment, options: CommonOptions, **more: Any) -> Itera
         working(experiment, overwrite=options.overwrite, retry=options.retry, reporter=reporter, **more) as job,
     ):
         yield job
-
-
-@contextmanager
-def looked_at(experiment: Experiment, options: CommonOptions) -> Iterator[Job]:
-    """Return a context that gives the job of a verb which shows results; it takes no lock."""
-    remove_stale_parts(experiment.results)
-    load_index(experiment.results)
-    with reporting(options.quiet, options.verbose) as reporter:
-        yield Job(experiment, options.overwrite, reporter)
 
 
 def document_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -123,9 +123,12 @@ def report(
     ] = False,
 ) -> None:
     """Write one self-contained HTML file with the existing results; nothing else is computed."""
-    from gbid.cli.stages import conclude, looked_at
+    from gbid.cli.progress import reporting
+    from gbid.cli.stages import conclude
     from gbid.core.errors import UsageError
     from gbid.core.files import remove_stale_parts
+    from gbid.core.index import load_index
+    from gbid.experiment.run import Job
     from gbid.report.write import write_curves, write_report
 
     loaded = options.load(experiment)
@@ -133,7 +136,10 @@ def report(
         raise UsageError(f"{loaded.results}: no results yet; run `gbid run {experiment}` first")
     if output is not None:
         remove_stale_parts(output.parent, f".{output.name}.*")
-    with looked_at(loaded, options) as job:
+    remove_stale_parts(loaded.results)
+    load_index(loaded.results)
+    with reporting(options.quiet, options.verbose) as reporter:  # without a lock
+        job = Job(loaded, options.overwrite, reporter)
         outcome = write_report(job, output)
         beside = write_curves(job, outcome.path) if curves else []
     lines = [] if outcome.state == "failed" else [f"report: {outcome.path}"]

@@ -273,7 +273,7 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
     DataError
         When a text cannot be stored in HDF5.
     """
-    with atomic_path(given_path(path), overwrite) as part, _through_memory(part, "w") as file:
+    with atomic_path(given_path(path), overwrite) as part, changing(part, "w") as file:
         add_attribute(file, "schema_version", np.array(kind.schema_version))
         created = datetime.now(UTC).isoformat(timespec="seconds")
         place, origin = _origin.get()
@@ -311,17 +311,10 @@ def with_origin(path: Path, key: str, origin: Mapping[str, Any]) -> Iterator[Non
 
 
 @contextlib.contextmanager
-def changing(path: Path) -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file to change; it is written at the end if no error occurs."""
-    with _through_memory(path, "r+") as file:
-        yield file
+def changing(path: Path, mode: str = "r+") -> Iterator[h5py.File]:
+    """Return a context with an HDF5 file to change, or a new one ("w"); it is written at the end if no error occurs.
 
-
-@contextlib.contextmanager
-def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
-    """Return a context with a file in memory, whose bytes are written at the end.
-
-    On a full disk the HDF5 library cannot close its own file, and crashes the process at its end.
+    It is in memory: on a full disk the HDF5 library cannot close its own file, and crashes the process at its end.
     """
     with h5py.File(path, mode, driver="core", backing_store=False) as file:
         yield file

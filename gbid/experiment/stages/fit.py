@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid import identify, validate
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
@@ -461,7 +460,7 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         ).best
     result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
     save(result, part, overwrite=True, document=_document(job.experiment, structure, name, model, result))
-    return Made(result.status, result.success, _smallest(result.fit_percent))
+    return Made(result.status, result.success, float(min(result.fit_percent.flat, default=nan)))
 
 
 def _document(
@@ -514,10 +513,6 @@ def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Re
                 for line in validate.shaft_lines(result, rec, left_out_of(job, name, rec))
             ]
     return notes
-
-
-def _smallest(percent: npt.NDArray[Any]) -> float:
-    return float(percent.min()) if percent.size else nan
 
 
 # ---- Document of a fit: plain values in SI units for tables and JSON.
