@@ -26,6 +26,7 @@ SETTINGS = {
     "0078": {"0.4 %"},  # limit
     "0082": {"2 ms"},  # sample time of an example
     "0087": {"10 s", "0.2 s", "600 s", "10 minutes", "1 s", "5 GB"},  # limits
+    "0235": {"32 MB"},  # limit of memory
 }
 """Figures that a record sets and does not measure."""
 

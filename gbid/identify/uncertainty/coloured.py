@@ -373,7 +373,7 @@ def score_covariance(
     Parameters
     ----------
     transforms : sequence of Transform
-        Residuals of each record, and the transform of its sensitivities; may be a `Made`.
+        Residuals of each record, and the transform of its sensitivities; may be an `OnDemand`.
     weight : (n_y, n_y) array
         Weight W of the errors.
     root : (n_kept, n) array
@@ -470,7 +470,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
-class Made(Sequence[Value]):
+class OnDemand(Sequence[Value]):
     """Values that are made each time they are asked for: all at once would fill the memory."""
 
     make: Callable[[int], Value]

@@ -23,7 +23,7 @@ from gbid.identify.uncertainty.coloured import (
     Bootstrap,
     ErrorModel,
     Estimator,
-    Made,
+    OnDemand,
     RecordSensitivities,
     Transform,
     Whitening,
@@ -291,7 +291,7 @@ def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
 
 def _sensitivities(
     at: Estimate, cuts: Sequence[Blocks], passes: Sequence[Traced], chains: Chains
-) -> Made[RecordSensitivities]:
+) -> OnDemand[RecordSensitivities]:
     """Return the sensitivities of the records."""
     passed = [_Passed(*each) for each in zip(at.parts(), cuts, passes, strict=True)]
 
@@ -302,7 +302,7 @@ def _sensitivities(
     records: list[list[int]] = [[] for _ in at.record_window]
     for window in sorted(at.segments):
         records[chains[window][1]].append(window)
-    return Made(lambda i: _joined([of_segment(window) for window in records[i]]), len(records))
+    return OnDemand(lambda i: _joined([of_segment(window) for window in records[i]]), len(records))
 
 
 class _Passed:
@@ -681,7 +681,7 @@ def covariance(
     drawn, models, onto, weighted = None, list[ErrorModel](), root, None
     if modelled:
         records, estimates = information.sensitivities, np.flatnonzero(keep)
-        transforms: Sequence[Transform] = Made(lambda i: transformed(records[i], estimates), len(records))
+        transforms: Sequence[Transform] = OnDemand(lambda i: transformed(records[i], estimates), len(records))
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         plain = all(segment.is_plain for part in problem.parts for segment in part.blocks.segments)
         usable = not at.filters and plain and not any(part.predictor.feeds_back for part in problem.parts)
