@@ -152,8 +152,7 @@ def select(
         columns.append(values[:, picked] if channel else values)
         labels += [f"{signal}_{channels[i]}" if len(channels) > 1 else signal for i in picked]
         units += [recording.units[signal]] * len(picked)
-    if not columns:
-        columns = [np.zeros((recording.n_samples, 0))]
+    columns = columns or [np.zeros((recording.n_samples, 0))]
     return np.hstack(columns) if len(columns) > 1 else columns[0], labels, units
 
 
@@ -177,11 +176,8 @@ def same_columns(
     """
     if not recordings:
         raise DataError("no recordings; give at least one")
-    first, columns = (
-        recordings[0],
-        [select(recording, names, gaps=gaps, irregular=irregular) for recording in recordings],
-    )
-    _, labels, units = columns[0]
+    columns = [select(recording, names, gaps=gaps, irregular=irregular) for recording in recordings]
+    first, (_, labels, units) = recordings[0], columns[0]
     any_clock = irregular and any(recording.stamps is not None for recording in recordings)
     for recording, (_, others, _) in zip(recordings, columns, strict=True):
         if not any_clock and not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
