@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -91,6 +92,12 @@ def wire(ax: Axes, points: Sequence[Point], arrow: bool = True, **style: Any) ->
         ax.annotate("", xy=points[-1], xytext=points[-2], arrowprops=shape)
 
 
+def chain(ax: Axes, *places: Block | Point) -> None:
+    """Draw a wire from each block to the next one on its right; the first and the last place may be points."""
+    for begin, end in pairwise(places):
+        wire(ax, [begin.right if isinstance(begin, Block) else begin, end.left if isinstance(end, Block) else end])
+
+
 def dot(ax: Axes, x: float, y: float) -> None:
     """Mark a branch of a wire."""
     ax.plot(x, y, marker="o", markersize=3, color=BLACK)
@@ -166,9 +173,7 @@ def plot_identification_flow(ax: Axes | None = None) -> Axes:
     frame(ax, 1.35, 3.35, 6.5, 1.25, "test rig, or virtual rig")
     actuators = block(ax, 2.75, 3.85, "piezos", width=1.6)
     bearing = block(ax, 6.2, 3.85, "gas bearing,\nshaft and disc", width=1.9)
-    wire(ax, [(0.75, 3.85), actuators.left])
-    wire(ax, [actuators.right, bearing.left])
-    wire(ax, [bearing.right, (8.5, 3.85)])
+    chain(ax, (0.75, 3.85), actuators, bearing, (8.5, 3.85))
     word(ax, 0.65, 3.85, r"$\mathbf{r}$", ha="right", va="center")
     word(ax, 4.4, 3.9, r"$\mathbf{u}$")
     word(ax, 8.6, 3.85, r"$\mathbf{p}$", ha="left", va="center")
@@ -219,17 +224,10 @@ def plot_rotor_bearing_model(ax: Axes | None = None) -> Axes:
     first = block(ax, 6.1, y, r"$\frac{1}{s}\,\mathbf{I}$", width=0.8)
     second = block(ax, 7.9, y, r"$\frac{1}{s}\,\mathbf{I}$", width=0.8)
     out = total(ax, 9.7, y, left="+", top="+")
-    wire(ax, [(0.5, y), delay.left])
-    wire(ax, [delay.right, gain.left])
-    word(ax, 2.5, y + 0.05, r"$\mathbf{u}_\tau$")
-    wire(ax, [gain.right, at.left])
-    wire(ax, [at.right, first.left])
-    word(ax, 5.27, y + 0.05, r"$\ddot{\mathbf{p}}$")
-    wire(ax, [first.right, second.left])
-    word(ax, 7.25, y + 0.05, r"$\dot{\mathbf{p}}$")
-    wire(ax, [second.right, out.left])
-    word(ax, 9.15, y + 0.05, r"$\mathbf{p}$")
-    wire(ax, [out.right, (10.6, y)])
+    chain(ax, (0.5, y), delay, gain, at, first, second, out, (10.6, y))
+    names = (r"\mathbf{u}_\tau", r"\ddot{\mathbf{p}}", r"\dot{\mathbf{p}}", r"\mathbf{p}")
+    for x, name in zip((2.5, 5.27, 7.25, 9.15), names, strict=True):
+        word(ax, x, y + 0.05, f"${name}$")
     word(ax, 10.68, y, r"$\mathbf{y}_b$", ha="left", va="center")
     damping = block(ax, 6.1, 1.5, r"$\mathbf{D}$", width=0.8, height=0.6)
     stiffness = block(ax, 6.1, 0.5, r"$\mathbf{K}$", width=0.8, height=0.6)
@@ -274,11 +272,9 @@ def plot_closed_loop(ax: Axes | None = None) -> Axes:
     for axis, y in rows.items():
         at = total(ax, 1.6, y, left="+", bottom="+")
         actuator = block(ax, 3.6, y, f"$G_{{a,{axis}}}(s)$", width=1.4, height=0.7)
-        wire(ax, [(0.6, y), at.left])
+        chain(ax, (0.6, y), at, actuator, (5.8, y))
         word(ax, 0.5, y, f"$w_{axis}$", ha="right", va="center")
-        wire(ax, [at.right, actuator.left])
         word(ax, 2.1, y + 0.05, f"$r_{axis}$")
-        wire(ax, [actuator.right, (5.8, y)])
         word(ax, 5.05, y + 0.05, f"$u_{axis}$")
         wire(ax, [(7.4, y), (9.6, y)])
         word(ax, 9.68, y, f"$p_{axis}$", ha="left", va="center")

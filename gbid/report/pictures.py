@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial, singledispatch
 from itertools import product
 from pathlib import Path
 from typing import Any
-
-from matplotlib.figure import Figure
 
 from gbid.control import Sensitivities
 from gbid.core.errors import DataError, UsageError
@@ -22,7 +20,7 @@ from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
 from gbid.identify import FitResult, Profile, SubspaceOrders, measured_response
 from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
-from gbid.report.canvas import save_figure, shown_by_pyplot
+from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot
 from gbid.report.measured_pictures import (
     plot_recording,
     plot_residuals,
@@ -110,6 +108,15 @@ def draw_figures(job: Job) -> list[Outcome]:
     """
     outcomes = []
     experiment = job.experiment
+
+    def draw(
+        title: str, fit: str, picture: Callable[[], Drawn], settings: Mapping[str, Any], sources: list[str]
+    ) -> None:
+        for kind in experiment.spec.figures[fit].formats:
+            path, key = job.path(FOLDER, title, f".{kind}"), content_key("figure", {"kind": kind, **settings}, sources)
+            write = partial(_save, picture, kind, key)
+            outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
+
     pairs = [(fit, *pair) for fit in experiment.spec.figures for pair in figure_pairs(experiment, fit)]
     for fit, model, recording in pairs:
         name = f"{fit}_{model}_on_{recording}"
@@ -121,57 +128,44 @@ def draw_figures(job: Job) -> list[Outcome]:
             )
             job.reporter.end(outcomes[-1])
             continue
-        section = experiment.spec.figures[fit]
-        pictures = [(name, _response, section.model_dump(exclude={"residuals", "bode", "formats"}))]
-        if section.residuals:
-            pictures.append((f"{name}_residuals", _residuals, {"residuals": True}))
+        section, shown = experiment.spec.figures[fit], (job, fit, model, recording)
         if section.bode:
-            pictures.append((f"{name}_bode", _bode, {"bode": True}))
             path, key = job.path(FOLDER, f"{name}_bode", ".csv"), content_key("figure", {"kind": "csv"}, sources)
-            numbers = partial(_save_bode, job, fit, model, recording, key)
+            numbers = partial(_save_bode, *shown, key)
             outcomes.append(produce(job, Result("figure", f"{name}_bode.csv", path, key), numbers))
-        for title, draw, settings in pictures:
-            for kind in section.formats:
-                path = job.path(FOLDER, title, f".{kind}")
-                key = content_key("figure", {"kind": kind, **settings}, sources)
-                write = partial(_save, partial(draw, job, fit, model, recording), kind, key)
-                outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
-    for fit, section in experiment.spec.figures.items():
+        draw(name, fit, partial(_response, *shown), section.model_dump(include={"from_s", "to_s"}), sources)
+        if section.residuals:
+            draw(f"{name}_residuals", fit, partial(_residuals, *shown), {"residuals": True}, sources)
+        if section.bode:
+            draw(f"{name}_bode", fit, partial(_bode, *shown), {"bode": True}, sources)
+    for fit in experiment.spec.figures:
         for model, i in product(fit_models(experiment, fit), range(len(experiment.spec.fits[fit].responses))):
-            title = f"{fit}_{model}_response_{i + 1}"
-            for kind in section.formats:
-                path, source = job.path(FOLDER, title, f".{kind}"), fit_result(experiment, fit, model).key
-                key = content_key("figure", {"kind": kind, "response": i}, [source])
-                write = partial(_save, partial(_on_response, job, fit, model, i), kind, key)
-                outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
+            title, source = f"{fit}_{model}_response_{i + 1}", fit_result(experiment, fit, model).key
+            draw(title, fit, partial(_on_response, job, fit, model, i), {"response": i}, [source])
     return outcomes
 
 
-def _on_response(job: Job, fit: str, model: str, i: int) -> Figure:
+def _on_response(job: Job, fit: str, model: str, i: int) -> Drawn:
     measured = response_of(job.experiment, fit, i)
-    axes = plot_bode({f"model of {model}": load_made_fit(job, fit, model)}, measured=measured)
-    figure: Figure = axes[0, 0].figure
-    return figure
+    return plot_bode({f"model of {model}": load_made_fit(job, fit, model)}, measured=measured)
 
 
-def _response(job: Job, fit: str, model: str, recording: str) -> Figure:
+def _response(job: Job, fit: str, model: str, recording: str) -> Drawn:
     section = job.experiment.spec.figures[fit]
     return response_figure(validate_pair(job, fit, model, recording), from_s=section.from_s, to_s=section.to_s)
 
 
-def _residuals(job: Job, fit: str, model: str, recording: str) -> Figure:
+def _residuals(job: Job, fit: str, model: str, recording: str) -> Drawn:
     ahead = "one-step-ahead" if job.experiment.spec.fits[fit].focus == "prediction" else "simulation"
     title = f"{ahead} residuals of {fit}, model of {model} on {recording}"
     return residuals_figure(residuals_on(job, fit, *model_and_recording(job, fit, model, recording)), title=title)
 
 
-def _bode(job: Job, fit: str, model: str, recording: str) -> Figure:
+def _bode(job: Job, fit: str, model: str, recording: str) -> Drawn:
     result, data = model_and_recording(job, fit, model, recording)
     options = result.options
     measured = measured_response(data, options.inputs, options.outputs, intersample=options.intersample)
-    axes = plot_bode({f"model of {model}": result}, measured=measured)
-    figure: Figure = axes[0, 0].figure
-    return figure
+    return plot_bode({f"model of {model}": result}, measured=measured)
 
 
 def _save_bode(job: Job, fit: str, model: str, recording: str, key: str, part: Path) -> None:
@@ -179,5 +173,5 @@ def _save_bode(job: Job, fit: str, model: str, recording: str, key: str, part: P
     write_csv(result.bode().table(), part, (f"content_key: {key}",))
 
 
-def _save(draw: Callable[[], Figure], kind: str, key: str, part: Path) -> None:
-    save_figure(draw(), part, kind=kind, note=f"content_key: {key}")
+def _save(picture: Callable[[], Drawn], kind: str, key: str, part: Path) -> None:
+    save_figure(picture(), part, kind=kind, note=f"content_key: {key}")
