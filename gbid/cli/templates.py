@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
-from gbid.core.files import share_folder
+from gbid.core.files import atomic_set, share_folder
 from gbid.experiment.load import experiment_json_schema
 from gbid.structure import LinearModel
 
@@ -169,23 +167,13 @@ def refuse_used(folder: Path) -> None:
 def _write(folder: Path, fill: Callable[[Path], object]) -> list[Path]:
     refuse_used(folder)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
+        with atomic_set(folder, overwrite=False) as part:
+            fill(part)
+            schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
+            (part / SCHEMA).write_text(schema + "\n", encoding="utf-8")
+            experiment = part / EXPERIMENT  # its first line names the schema, where editors look for it
+            text = experiment.read_text(encoding="utf-8")
+            experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
     except OSError as error:
         raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    try:
-        fill(part)
-        schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
-        (part / SCHEMA).write_text(schema + "\n", encoding="utf-8")
-        experiment = part / EXPERIMENT  # its first line names the schema, where editors look for it
-        text = experiment.read_text(encoding="utf-8")
-        experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o777 & ~mask)
-        part.replace(folder)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -60,9 +60,7 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
     part = Path(name)
     try:
         yield part
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)
+        _let_others_read(part, 0o666)
         with part.open("rb") as written:
             os.fsync(written.fileno())
         part.replace(path)  # a power cut may undo this: then the old file is there, and the work is done again
@@ -125,9 +123,7 @@ def atomic_set(folder: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def _take_places(stage: Path, folder: Path, overwrite: bool) -> None:
-    mask = os.umask(0)
-    os.umask(mask)
-    stage.chmod(0o777 & ~mask)
+    _let_others_read(stage, 0o777)
     if not folder.exists():
         stage.rename(folder)
         return
@@ -137,6 +133,13 @@ def _take_places(stage: Path, folder: Path, overwrite: bool) -> None:
             raise UsageError(f"{folder / file.name} exists already; choose another name or ask for overwriting")
     for file in changed:
         file.replace(folder / file.name)
+
+
+def _let_others_read(path: Path, mode: int) -> None:
+    """Give a temporary file or folder, which is private, the mode that a new one has in this session."""
+    mask = os.umask(0)
+    os.umask(mask)
+    path.chmod(mode & ~mask)
 
 
 def _same(one: Path, other: Path) -> bool:

@@ -212,13 +212,12 @@ def plain(value: Any) -> Any:
     return value.value if isinstance(value, TaggedScalar) else value
 
 
-def write_yaml(data: dict[str, Any], path: Path, comment: str = "") -> None:
-    """Write plain values, and a comment above them; lists of numbers and pairs on one line, floats with all digits."""
+def write_yaml(data: dict[str, Any], path: Path) -> None:
+    """Write plain values: lists of numbers and pairs on one line, floats with all digits."""
     yaml = YAML(typ="rt")
     yaml.width = 4096
     yaml.indent(mapping=2, sequence=4, offset=2)
     text = StringIO()
-    text.write(f"# {comment}\n" if comment else "")
     yaml.dump(_styled(data), text)
     path.write_bytes(with_text_checksum(text.getvalue(), ".yaml").encode())
 

@@ -43,11 +43,12 @@ _RESULTS = (".h5", ".hdf5")  # endings of our own results, which may lie in the 
 _NAMED = 5  # largest number of files without match that are listed
 
 
-def _digest_or_not(path: Path) -> str:
+def digest_or_not(path: Path) -> str:
+    """Return the digest of a file, or a text in its place when the file cannot be read."""
     try:
         return file_digest(path)
     except OSError:
-        return "cannot be read"
+        return "cannot be read"  # what reads the file reports the error; the key changes when it can be read
 
 
 @dataclass(frozen=True)
@@ -517,8 +518,8 @@ class Experiment:
         imported = [self.recordings[name].imported for name in recordings if name in self.recordings]
         files = [self.data_file(entry) for entry in imported if entry is not None]
         files += [self.folder / each.file for each in (self.spec.fits[fit].responses if fit else ())]
-        yaml = {"file": self.file.path.name, "sha256": _digest_or_not(self.file.path)}
-        data = {self.beside(path): _digest_or_not(path) for path in files}
+        yaml = {"file": self.file.path.name, "sha256": digest_or_not(self.file.path)}
+        data = {self.beside(path): digest_or_not(path) for path in files}
         return {"experiment": yaml, "seeds": self._seeds, "data": data}
 
     def beside(self, path: str | Path) -> str:

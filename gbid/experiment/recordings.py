@@ -12,11 +12,11 @@ import numpy as np
 
 from gbid import excite, lpv
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import read_document, save
+from gbid.core.hdf5 import FileKind, read_document, save
 from gbid.core.index import version_of
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
-from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Result, file_digest, stored_key
+from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not
+from gbid.experiment.fields import Result, stored_key
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
@@ -113,10 +113,7 @@ def recording_result(experiment: Experiment, planned: PlannedRecording) -> Resul
     if planned.imported is None:
         return _rig_result(experiment, planned.name)
     settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
-    try:
-        digest = file_digest(experiment.data_file(planned.imported))
-    except OSError:  # the import reports the error; the key changes when the file can be read
-        digest = "cannot be read"
+    digest = digest_or_not(experiment.data_file(planned.imported))
     return experiment.result("import", planned.name, path, settings, [digest])
 
 
@@ -223,12 +220,15 @@ def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[s
 def read_signals(job: Job, name: str) -> RecordingSignals:
     """Return the properties of the signals of an existing recording, as they were stored with it."""
     planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
-    return RecordingSignals(name, planned.kind, planned.point, **_stored_signals(path, version_of(path)))
+    return RecordingSignals(
+        name, planned.kind, planned.point, **stored_document(path, Recording.FILE, version_of(path))
+    )
 
 
-@lru_cache(maxsize=1 << 14)
-def _stored_signals(path: Path, _version: tuple[int, ...]) -> dict[str, Any]:
-    document: dict[str, Any] = read_document(path, Recording.FILE)
+@lru_cache(maxsize=1 << 15)
+def stored_document(path: Path, kind: FileKind, _version: tuple[int, ...]) -> dict[str, Any]:
+    """Return the document in a result file; cached, because a server asks for all whenever one has come."""
+    document: dict[str, Any] = read_document(path, kind)
     return document
 
 

@@ -22,7 +22,7 @@ from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
 from gbid.experiment.machine import true_model, true_values
-from gbid.experiment.recordings import refuse_bad_signals
+from gbid.experiment.recordings import refuse_bad_signals, stored_document
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
@@ -481,14 +481,7 @@ def made_document(job: Job, name: str, model: str) -> Row:
         When the result is missing or was made from other settings.
     """
     path = fit_result(job.experiment, name, model).require()
-    return _stored_document(path, version_of(path))
-
-
-@lru_cache(maxsize=1 << 14)
-def _stored_document(path: Path, _version: tuple[int, ...]) -> Row:
-    """Return the document in a file; cached, because a server asks for all of them whenever a fit has come."""
-    document: Row = read_document(path, identify.FitResult.FILE)
-    return document
+    return stored_document(path, identify.FitResult.FILE, version_of(path))
 
 
 def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Recording]) -> list[str]:
