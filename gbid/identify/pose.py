@@ -377,7 +377,6 @@ def minimise(problem: PosedProblem) -> Optimum:
 
 _GAIN_ROUNDS = 60
 _SETTLED = 1e-3  # largest relative change of the covariance of the innovations: that of its own estimate is far larger
-_AT_REST = 0.01  # largest step of a round in standard deviations: no digit of an interval depends on less
 
 
 def _with_kalman_gains(
@@ -411,10 +410,7 @@ def _with_kalman_gains(
         )
         shooting = replace(shooting, parts=parts)
         following = run(solution.unknowns, shooting)
-        step = (following.unknowns - solution.unknowns)[: shooting.n_theta]
-        at_rest = float(np.linalg.norm(step)) * np.sqrt(shooting.likelihood_size) < _AT_REST
-        status = solution.status if at_rest else following.status  # stuck where a round starts at its end
-        solution = replace(following, status=status, iterations=solution.iterations + following.iterations)
+        solution, at_rest = following.after(solution, shooting)
         settled = np.abs(innovation - before).max() <= _SETTLED * np.abs(innovation).max()
         if (at_rest and settled) or not following.status.success:
             return shooting, solution

@@ -137,7 +137,6 @@ def _normal_distances(n_outputs: int) -> tuple[FloatArray, FloatArray]:
 
 _ROUNDS = 40
 _SETTLED = 1e-3  # largest change of a weight
-_AT_REST = 0.01  # largest step of a round in standard deviations, which scaled parameters are in about
 _NORMAL = 1.4826  # standard deviation of normal errors over their median absolute value
 _SCALE_ROUNDS = 20
 
@@ -218,10 +217,7 @@ def reweighted_solution(
         if np.abs(weights - before).max() < _SETTLED:
             break
         following = run(solution.unknowns, weighted)
-        step = (following.unknowns - solution.unknowns)[: problem.n_theta]
-        at_rest = float(np.linalg.norm(step)) * np.sqrt(problem.likelihood_size) < _AT_REST
-        status = solution.status if at_rest else following.status  # stuck where a round starts at its end
-        solution = replace(following, status=status, iterations=solution.iterations + following.iterations)
+        solution, at_rest = following.after(solution, problem)
         if at_rest or not following.status.success:
             break
     moments = loss.moments(squared[counted], rows.shape[1])

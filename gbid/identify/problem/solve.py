@@ -643,6 +643,20 @@ class Solution:
     overflows: int = 0
     phases: tuple[Phase, ...] = ()
 
+    def after(self, before: Solution, problem: Shooting) -> tuple[Solution, bool]:
+        """Return this solution with the iterations of the round before as well, and whether the parameters are at rest.
+
+        They are when they moved by less than 1 % of a standard deviation: no digit of an interval depends on less. The
+        status is then that of the round before, because the solver may be stuck where a round begins at its end.
+        """
+        step = (self.unknowns - before.unknowns)[: problem.n_theta]
+        at_rest = bool(np.linalg.norm(step) * np.sqrt(problem.likelihood_size) < _AT_REST)
+        status = before.status if at_rest else self.status
+        return replace(self, status=status, iterations=before.iterations + self.iterations), at_rest
+
+
+_AT_REST = 0.01
+
 
 def solve(
     problem: Shooting,
