@@ -409,46 +409,6 @@ class Proportional(PerAxis):
 
 
 @dataclass(frozen=True)
-class Derivative(Proportional):
-    """Base class of the structures with a derivative gain kd per axis, made proper by the low-pass or a filter of it.
-
-    Parameters
-    ----------
-    kd_limit_ms : float
-        Bound on the magnitude of the derivative gains [ms].
-    derivative_khz : (lowest, highest), optional
-        Bounds of the corner of a filter of the derivative alone, ``kd s / (1 + s / w)``, which is then the gain
-        ``corner`` [kHz]. The order of the low-pass may then be 0.
-    """
-
-    kd_limit_ms: Positive = 3.0
-    derivative_khz: PositiveRange | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        where = f"controller {self.name!r}"
-        if self.derivative_khz is None and self.order == 0:
-            raise UsageError(f"{where}: order = 0; at least 1: without a low-pass it is not proper", "order")
-        if self.derivative_khz is not None and not self.derivative_khz[0] < self.derivative_khz[1]:
-            raise UsageError(f"{where}: derivative_khz = {self.derivative_khz}; lower first", "derivative_khz")
-
-    def _axis_gains(self) -> tuple[AxisGain, ...]:
-        corner = () if self.derivative_khz is None else (gain_within("corner", 0.5, self.derivative_khz, "kHz", True),)
-        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"), *corner)
-
-    def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
-        if self.derivative_khz is not None:
-            straight = super()._filter(gain, lowpass_filter(1.0, 0))
-            high = 2 * np.pi * gain["corner"] * gain["kd"]  # kHz times ms
-            return in_series(lowpass, in_parallel(straight, first_order(0.0, high, gain["corner"])))
-        A, B, C, D = super()._filter(gain, lowpass)
-        n, seconds = lowpass[0].shape[0], 1e-3 * gain["kd"]
-        # D = 0 of the low-pass: the derivative of its last stage is C (A x + B p)
-        rate = ca.horzcat(lowpass[2] @ lowpass[0], ca.SX(1, A.shape[0] - n))
-        return A, B, C + seconds * rate, D + seconds * (lowpass[2] @ lowpass[1])
-
-
-@dataclass(frozen=True)
 class PStructure(Proportional):
     r"""Decentralised proportional controller with low-pass (paper, Eq. 21).
 
@@ -481,7 +441,7 @@ class PStructure(Proportional):
 
 
 @dataclass(frozen=True)
-class PDStructure(Derivative):
+class PDStructure(Proportional):
     r"""Decentralised proportional and derivative controller; the low-pass makes it proper.
 
     .. math:: K_i(s) = (\kappa_i + k_{d,i} s) \left(\frac{p_{lp}}{s + p_{lp}}\right)^n, \quad n \ge 1
@@ -497,12 +457,38 @@ class PDStructure(Derivative):
     kd_limit_ms : float
         Bound on the magnitude of the derivative gains [ms].
     derivative_khz : (lowest, highest), optional
-        See `Derivative`.
+        Bounds of the corner of a filter of the derivative alone, ``kd s / (1 + s / w)``, which is then the gain
+        ``corner`` [kHz]. The order of the low-pass may then be 0.
     gain_sets, sensors_m, actuators_m, coupling, notch_orders, lowest_hz, speed_rpm
         See `gbid.control.controllers.built_in.PerAxis`; the schedule sets the speed.
     """
 
+    kd_limit_ms: Positive = 3.0
+    derivative_khz: PositiveRange | None = None
     name: str = "PD"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = f"controller {self.name!r}"
+        if self.derivative_khz is None and self.order == 0:
+            raise UsageError(f"{where}: order = 0; at least 1: without a low-pass it is not proper", "order")
+        if self.derivative_khz is not None and not self.derivative_khz[0] < self.derivative_khz[1]:
+            raise UsageError(f"{where}: derivative_khz = {self.derivative_khz}; lower first", "derivative_khz")
+
+    def _axis_gains(self) -> tuple[AxisGain, ...]:
+        corner = () if self.derivative_khz is None else (gain_within("corner", 0.5, self.derivative_khz, "kHz", True),)
+        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"), *corner)
+
+    def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
+        if self.derivative_khz is not None:
+            straight = super()._filter(gain, lowpass_filter(1.0, 0))
+            high = 2 * np.pi * gain["corner"] * gain["kd"]  # kHz times ms
+            return in_series(lowpass, in_parallel(straight, first_order(0.0, high, gain["corner"])))
+        A, B, C, D = super()._filter(gain, lowpass)
+        n, seconds = lowpass[0].shape[0], 1e-3 * gain["kd"]
+        # D = 0 of the low-pass: the derivative of its last stage is C (A x + B p)
+        rate = ca.horzcat(lowpass[2] @ lowpass[0], ca.SX(1, A.shape[0] - n))
+        return A, B, C + seconds * rate, D + seconds * (lowpass[2] @ lowpass[1])
 
 
 @dataclass(frozen=True)
@@ -535,7 +521,7 @@ class PIStructure(Proportional):
 
 
 @dataclass(frozen=True)
-class PIDStructure(Derivative, PIStructure):
+class PIDStructure(PDStructure, PIStructure):
     r"""Proportional, integral and derivative controller; the low-pass makes it proper.
 
     .. math:: K_i(s) = \left(\kappa_i + \frac{k_{I,i}}{s} + k_{d,i} s\right)
@@ -865,7 +851,7 @@ class FullPStructure(Proportional):
 
 
 @dataclass(frozen=True)
-class FullPDStructure(Derivative):
+class FullPDStructure(PDStructure):
     r"""Proportional and derivative controller with cross-coupling; the low-pass makes it proper.
 
     .. math:: K_{ij}(s) = (\kappa_{ij} + k_{d,ij} s) \left(\frac{p_{lp}}{s + p_{lp}}\right)^n, \quad n \ge 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -26,6 +25,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, in_one_line
 from gbid.core.names import given_path
+from gbid.core.option_types import Positive, check_options
 from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
 from gbid.lpv import Domain
 from gbid.lpv.model_file import FileTable, Number
@@ -80,7 +80,7 @@ class ControllerDesign(Brief):
     name: str
     structure: Structure | Scheduled | None
     gains: Mapping[str, float]
-    sample_time: float
+    sample_time: Positive
     method: Method = "tustin"
     units: Mapping[str, str] = field(default_factory=dict)
     plant: str = ""
@@ -89,12 +89,7 @@ class ControllerDesign(Brief):
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.sample_time) and self.sample_time > 0):
-            raise UsageError(
-                f"controller {self.name!r}: sample_time = {self.sample_time} s; give a positive number of seconds"
-            )
-        if self.method not in ("tustin", "zoh"):
-            raise UsageError(f"controller {self.name!r}: method = {self.method!r}; choose 'tustin' or 'zoh'")
+        check_options(self, f"controller {self.name!r}")
 
     def at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
         """Return the continuous controller.
