@@ -13,6 +13,7 @@ import numpy as np
 from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Positive
 from gbid.discretise import discretise, propagate
 from gbid.excite.model import KnownModel
 from gbid.identify.data import FitData, Record
@@ -184,7 +185,7 @@ def _slopes(v: PredictorValues, z: ComplexArray, regressors: ComplexArray) -> Co
     return np.asarray(back[:, None] @ (v.dF @ x + v.dG @ source) + v.dC @ x + v.dH @ source)
 
 
-Focused = str | Sequence[str] | Mapping[str, float] | None
+Focused = str | Sequence[str] | Mapping[str, Positive] | None
 """Names or patterns of quantities that count equally (D-optimal), or each with the deviation that counts as one."""
 
 _OTHERS = 0.01
@@ -329,8 +330,6 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignG
     if isinstance(focus, Mapping):
         picked = dict[int, float]()
         for pattern, unit in focus.items():
-            if not (np.isfinite(unit) and unit > 0):
-                raise UsageError(f"focus: {pattern} = {unit}; give the standard deviation that counts as one")
             picked |= dict.fromkeys(quantities.matching((pattern,), "focus"), float(unit))
         scale = np.array(list(picked.values()))
         rows = list(picked)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from gbid.core.arrays import BoolArray, FloatArray, is_whole
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.errors import DataError, GbidError
 from gbid.core.notes import FitNote
-from gbid.core.option_types import options_of_call
+from gbid.core.option_types import Count, CountOrZero, Positive, options_of_call
 from gbid.identify.fitting import fitted, with_profiles
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Measured
@@ -105,9 +105,9 @@ def fit_multistart(
     structure: AnyStructure,
     recordings: Measured,
     *,
-    starts: int = 10,
-    seed: int = 0,
-    reach: float = 0.5,
+    starts: Count = 10,
+    seed: CountOrZero = 0,
+    reach: Positive = 0.5,
     **options: Any,
 ) -> MultiStart:
     """Return fits from the start of the structure, from one found in the data, and from random starts.
@@ -139,10 +139,6 @@ def fit_multistart(
         When `starts` is no whole number of at least 1, `reach` is not finite and positive, or a parameter has no start
         value, and for the errors of `fit`.
     """
-    if not is_whole(starts, 1):
-        raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
-    if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
-        raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
     given = options_of_call(FitArguments, "fit_multistart", options)
     arguments = replace(given, profile=())  # of the best only
     first = fitted(structure, recordings, arguments)

@@ -415,8 +415,8 @@ class Machine(Brief):
     actuator: ActuatorTruth | PiezoStacks
     unbalance: Unbalance = field(default_factory=Unbalance)
     sensors: SensorChain = field(default_factory=SensorChain)
-    clearance: float = 25e-6
-    moving_mass: float = 2.18
+    clearance: Positive = 25e-6
+    moving_mass: Positive = 2.18
     flexible_mode: FlexibleMode | None = None
     stiffening: FilmStiffening | None = None
     non_synchronous: NonSynchronous | None = None
@@ -430,10 +430,7 @@ class Machine(Brief):
         if self.film is not None and linear:
             names = ", ".join(linear)
             raise UsageError(f"machine: {names} with a gas film; these are effects of the linear bearing")
-        for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise UsageError(f"machine: {name} = {value} {unit}; it must be positive")
+        check_options(self, "machine")
 
     @property
     def travel(self) -> float:

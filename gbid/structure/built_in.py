@@ -11,7 +11,7 @@ import casadi as ca
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Names, check_options
+from gbid.core.option_types import Count, Names, check_options
 from gbid.discretise import Hold
 from gbid.structure.delay import with_filters
 from gbid.structure.linear import LoopParts, as_names
@@ -68,7 +68,7 @@ class RotorBearing(Brief):
     """
 
     is_value: ClassVar[bool] = True
-    pade_order: int | None = None
+    pade_order: Count | None = None
     delay: Literal["exact", "pade"] | None = None
     disturbance_gain: DisturbanceGain = "full"
     film: Film = "linear"
@@ -88,8 +88,6 @@ class RotorBearing(Brief):
             object.__setattr__(self, "delay", "exact" if self.pade_order is None else "pade")
         if self.delay == "pade" and self.pade_order is None:
             object.__setattr__(self, "pade_order", 1)
-        if self.pade_order is not None and self.pade_order < 1:
-            raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

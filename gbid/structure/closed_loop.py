@@ -11,6 +11,7 @@ import numpy as np
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import CountOrZero
 from gbid.discretise import Hold
 from gbid.structure.built_in import Plant, RotorBearing
 from gbid.structure.delay import pade_matrices, with_pade
@@ -160,7 +161,7 @@ class ClosedLoop(Brief):
         controller: LinearModel | Structure,
         *,
         sample_time: float | None = None,
-        computation_samples: int = 1,
+        computation_samples: CountOrZero = 1,
         measured: Sequence[int] | None = None,
         injected: Injection = "plant input",
         inputs: str | Sequence[str] = "w",
@@ -169,10 +170,6 @@ class ClosedLoop(Brief):
         name: str = "",
     ) -> None:
         where = f"loop of {structure.name!r} and {controller.name!r}"
-        if injected not in ("plant input", "set point"):
-            raise UsageError(f"{where}: injected = {injected!r}; choose 'plant input' or 'set point'")
-        if computation_samples < 0:
-            raise UsageError(f"{where}: computation_samples = {computation_samples}; it must be at least 0")
         rate = controller.dt if isinstance(controller, LinearModel) else None
         if rate is not None and sample_time is not None and not np.isclose(rate, sample_time, rtol=1e-9):
             raise UsageError(f"{where}: sample_time = {sample_time:g} s, but the controller has {rate:g} s")

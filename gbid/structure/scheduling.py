@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb, prod
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Positive
 from gbid.structure.built_in import KEY_PARAMETERS
 from gbid.structure.linear import OnBase, Structure
 from gbid.structure.parameter import Parameter
@@ -187,8 +190,8 @@ def scheduled(
     scheduling: str | Sequence[str] = SCHEDULING,
     *,
     surfaces: Sequence[str] | None = None,
-    order: int = 2,
-    piece_s: float = 0.1,
+    order: Annotated[int, Ge(0), Le(HIGHEST_ORDER)] = 2,
+    piece_s: Positive = 0.1,
 ) -> ScheduledStructure:
     """Return a structure whose parameters are polynomials in signals of the recording (paper, Eqs. 16 to 18).
 
@@ -228,8 +231,4 @@ def scheduled(
     if not chosen or (unknown := [name for name in chosen if name not in names]):
         text = ", ".join(unknown) if chosen else "none"
         raise UsageError(f"surfaces: {text}; the structure {structure.name!r} has {', '.join(names)}")
-    if not 0 <= order <= HIGHEST_ORDER:
-        raise UsageError(f"order = {order}; choose 0 to {HIGHEST_ORDER}")
-    if not piece_s > 0:
-        raise UsageError(f"piece_s = {piece_s} s; it must be above 0")
     return ScheduledStructure(structure, variables, chosen, order, piece_s)

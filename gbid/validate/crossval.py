@@ -12,9 +12,10 @@ import numpy as np
 from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.core.extras import Pictured, data_frame
 from gbid.core.hdf5 import Stored
+from gbid.core.option_types import Count, CountOrZero
 from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_clock_of, simulator, validation_data
@@ -222,7 +223,7 @@ def join_scores(pairs: Sequence[tuple[str, ValidationData, FloatArray, FloatArra
 
 
 def summarise(
-    scores: ValidationScores, *, bins: int = 20, worst: int = 3, failed: Iterable[str] = ()
+    scores: ValidationScores, *, bins: Count = 20, worst: CountOrZero = 3, failed: Iterable[str] = ()
 ) -> ValidationSummary:
     """Return the summary of a cross-validation: mean, standard deviation, histogram and poorest pairs of each output.
 
@@ -253,8 +254,6 @@ def summarise(
     """
     if not len(scores):
         raise DataError("no pair of model and recording was validated, so there is nothing to summarise")
-    if bins < 1 or worst < 0:
-        raise UsageError(f"bins = {bins}, worst = {worst}: give at least one bin and no negative number of pairs")
     fit, norm = scores.fit_percent, scores.infinity_norm
     edges = np.array([_edges(column, bins) for column in fit.T])
     counts = np.array([np.histogram(column, edge)[0] for column, edge in zip(fit.T, edges, strict=True)])

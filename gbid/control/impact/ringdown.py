@@ -21,7 +21,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import ControlNote
-from gbid.core.option_types import CountOrZero
+from gbid.core.option_types import CountOrZero, NotNegative
 from gbid.discretise import propagate
 from gbid.prefilter.runout import shaft_motion
 from gbid.recording import Recording
@@ -824,7 +824,7 @@ def fit_ringdown(
     axis: str | None = None,
     lags: Annotated[int, Ge(0), Le(6)] | Literal["auto"] = "auto",
     harmonics: CountOrZero | None = None,
-    skip_s: float = 0.0,
+    skip_s: NotNegative = 0.0,
     start: Sequence[tuple[float, float]] | None = None,
 ) -> RingDown:
     """Return two modes fitted to the free responses after impacts (paper, Sec. 5.1, Tables 3 and 4).
@@ -865,7 +865,7 @@ def fit_ringdown(
         When an argument is out of range.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    _check_arguments(group, skip_s, start)
+    _check_arguments(group, start)
     h = group[0].sample_time
     forces = [force_of(rec, force, axis) if force and rec.signal(force).any() else None for rec in group]
     impacts = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
@@ -896,11 +896,9 @@ def fit_ringdown(
     return _result(solved, group, unit, impacts, max(counts))
 
 
-def _check_arguments(group: list[Recording], skip_s: float, start: Sequence[tuple[float, float]] | None) -> None:
+def _check_arguments(group: list[Recording], start: Sequence[tuple[float, float]] | None) -> None:
     if not group:
         raise UsageError("fit_ringdown: no recording given; give at least one with an impact")
-    if not (np.isfinite(skip_s) and skip_s >= 0):
-        raise UsageError(f"fit_ringdown: skip_s = {skip_s} s; it must not be negative")
     if start is not None and (len(start) != 2 or any(f <= 0 or not abs(z) < 1 for f, z in start)):
         raise UsageError(f"fit_ringdown: start = {start}; give two modes (frequency in Hz, damping factor below 1)")
     for rec in group[1:]:

@@ -277,8 +277,6 @@ def sample_controller(controller: LinearModel, sample_time: float, method: Metho
     """
     if method == "zoh":
         return controller.discretise(sample_time, intersample="zoh")
-    if method != "tustin":
-        raise UsageError(f"method = {method!r}; choose 'tustin' or 'zoh'")
     _check_sampling(controller, sample_time)
     continuous = controller.A, controller.B, controller.C, controller.D
     A, B, C, D, dt = scipy.signal.cont2discrete(continuous, sample_time, "bilinear")

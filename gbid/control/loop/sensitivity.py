@@ -635,8 +635,6 @@ def _disk(loop: Sensitivities, gain: Callable[[FloatArray], FloatArray]) -> Disk
 
 
 def _channels(loop: Sensitivities, at: Side) -> int:
-    if at not in ("output", "input"):
-        raise UsageError(f"margins at {at!r}; choose 'output' or 'input'")
     return int(loop.plant.C.shape[0] if at == "output" else loop.plant.B.shape[1])
 
 

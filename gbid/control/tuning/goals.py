@@ -503,7 +503,7 @@ class DisturbanceSpectrum(Brief):
 
 
 def recorded_disturbance(
-    recordings: Recording | Sequence[Recording], signal: str = "p", *, segment_s: float = 0.5
+    recordings: Recording | Sequence[Recording], signal: str = "p", *, segment_s: Positive = 0.5
 ) -> DisturbanceSpectrum:
     """Return the disturbance that recordings without excitation show: noise, unbalance and run-out.
 
@@ -526,11 +526,9 @@ def recorded_disturbance(
     UsageError
         When a recording has no such signal or is shorter than a segment, or when sample times differ.
     """
-    every = [recordings] if isinstance(recordings, Recording) else list(() if recordings is None else recordings)
-    if not every or not all(isinstance(one, Recording) for one in every):
+    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not every:
         raise UsageError("recorded_disturbance: give a gbid.Recording or a list of these")
-    if not (is_finite(segment_s) and segment_s > 0):
-        raise UsageError(f"recorded_disturbance: segment_s = {segment_s!r}; give a positive number of seconds")
     spectra = []
     for recording in every:
         if signal not in recording.signals:

@@ -27,10 +27,10 @@ from gbid.control.tuning.loops import (
     WholePlants,
 )
 from gbid.control.tuning.response_goals import PeakSensitivity
-from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, is_whole, point_label
+from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
+from gbid.core.option_types import Allowed, Count, CountOrZero, NotNegative, Positive, check_options
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
@@ -70,8 +70,8 @@ class Uncertainty(Brief):
 
     covariance: npt.ArrayLike | None = None
     samples: npt.ArrayLike | None = None
-    draws: int = 10
-    seed: int = 0
+    draws: Count = 10
+    seed: CountOrZero = 0
     scatter: npt.ArrayLike | None = None
     chosen: tuple[int, ...] | None = None
 
@@ -89,9 +89,6 @@ class Uncertainty(Brief):
                     raise UsageError(
                         f"uncertainty: {name} has shape {matrix.shape}; give finite and symmetric {(size, size)}"
                     )
-            for name, value, least in (("draws", self.draws, 1), ("seed", self.seed, 0)):
-                if not is_whole(value, least):
-                    raise UsageError(f"uncertainty: {name} = {value!r}; give an integer of at least {least}")
             known = int(self.draws)
         else:
             samples = _array("samples", self.samples)

@@ -778,8 +778,6 @@ def with_extra_terms(
 
 
 def _called(what: str, function: Any, p: Values, x0: Mapping[str, ca.SX]) -> Any:
-    if not callable(function):
-        raise UsageError(f"{what} = {function!r} is no function; give one of (p, x0) that returns expressions")
     try:
         return function(p, x0)
     except Exception as error:

@@ -13,8 +13,9 @@ import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
 from gbid.core.brief import Description, brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.core.extras import Pictured
+from gbid.core.option_types import Count
 from gbid.core.tables import Column, Table
 from gbid.identify.data import Record, column_means, gather
 from gbid.identify.predictor import Predictor
@@ -332,7 +333,7 @@ def _centred(r: Record) -> Record:
 
 def subspace(
     recordings: Recording | Sequence[Recording],
-    order: int | Literal["auto"] = "auto",
+    order: Count | Literal["auto"] = "auto",
     *,
     inputs: str | Sequence[str] = "u",
     outputs: str | Sequence[str] = "y",
@@ -373,8 +374,6 @@ def subspace(
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
     names = as_names(inputs), as_names(outputs)
     data = gather(several, *names, minimum=_FIRST_LAGS)
-    if order != "auto" and (isinstance(order, bool) or not isinstance(order, int) or order < 1):
-        raise UsageError(f"order = {order!r}; give a number of states, or the word auto")
     centred = [_centred(record) for record in data.records]
     with one_blas_thread():
         chosen = _order_of(centred, feedthrough).order if order == "auto" else order

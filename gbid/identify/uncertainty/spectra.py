@@ -11,6 +11,7 @@ import numpy as np
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
+from gbid.core.option_types import Positive
 from gbid.discretise import check_holds, hold_response
 from gbid.identify.data import same_columns, select
 from gbid.identify.frequency_data import FrequencyData
@@ -66,7 +67,7 @@ def measured_response(
     inputs: str | Sequence[str],
     outputs: str | Sequence[str],
     *,
-    resolution_hz: float | None = None,
+    resolution_hz: Positive | None = None,
     intersample: str | Sequence[str] | None = "zoh",
     reference: str | Sequence[str] = (),
     period_s: float | None = None,
@@ -249,8 +250,6 @@ def _segment_length(recordings: Sequence[Recording], resolution_hz: float | None
     shortest = min(recordings, key=lambda recording: recording.n_samples)
     if resolution_hz is None:
         return max(16, 2 * (shortest.n_samples // (_SEGMENTS + 1)))
-    if not resolution_hz > 0:
-        raise UsageError(f"resolution_hz = {resolution_hz}; it must be a positive number")
     length = max(8, round(1 / (resolution_hz * shortest.sample_time)))
     if length > shortest.n_samples:
         seconds = shortest.n_samples * shortest.sample_time
