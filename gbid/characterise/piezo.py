@@ -24,6 +24,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
+from gbid.core.option_types import Share
 from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
@@ -118,7 +119,7 @@ def characterise_piezo(
     position: str = "u",
     channel: str | None = None,
     command_channel: str | None = None,
-    keep: float = 0.2,
+    keep: Share = 0.2,
     settle_s: float = 0.02,
     limits: tuple[float, float] | None = None,
 ) -> PiezoCurve:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.recording import Recording
 
 MIN_SAMPLES = 40
@@ -110,13 +110,9 @@ def steady_parts(rec: Recording, plateaus: Plateaus, keep: float) -> list[tuple[
 
     Raises
     ------
-    UsageError
-        When `keep` is not above 0 and at most 1.
     DataError
         When too few samples remain.
     """
-    if not 0 < keep <= 1:
-        raise UsageError(f"keep = {keep}; give the share of each plateau that is steady, above 0 and at most 1")
     parts = []
     for a, b in zip(plateaus.start.astype(int), plateaus.stop.astype(int), strict=True):
         first = b - round(keep * (b - a))

@@ -17,6 +17,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
+from gbid.core.option_types import Share
 from gbid.recording import Recording
 
 # ---- Static map of the rotor on its bearing (paper, Sec. 3.1 and Fig. 5).
@@ -194,7 +195,7 @@ def characterise_staircase(
     command: str = "r",
     source: str = "u",
     position: str = "p",
-    keep: float = 0.5,
+    keep: Share = 0.5,
 ) -> StaticMap:
     """Return the static map from inputs to positions, fitted by least squares to staircases up and down.
 

@@ -18,7 +18,7 @@ from pydantic import (
 
 from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive
+from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive, Share
 from gbid.experiment.fields import (
     Deferred,
     Holds,
@@ -457,7 +457,7 @@ class StaticSection(Section):
     command: Text | None = None
     source: Text | None = None
     position: Text | None = None
-    keep: Annotated[float, Exact(), Gt(0), Le(1)] | None = None
+    keep: Share | None = None
     channel: Text | None = None
     command_channel: Text | None = None
     settle_s: NotNegative | None = None

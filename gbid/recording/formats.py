@@ -351,7 +351,8 @@ def matlab_value(value: Any, inside: Any = None) -> Any:
     from pandas import DataFrame
 
     if isinstance(value, MatlabOpaque):
-        return _timed(MatObject(str(value.classname), value.properties)) if _has_fields(value) else value
+        fields = value.properties
+        return _timed(MatObject(str(value.classname), fields)) if isinstance(fields, Mapping) else value
     if isinstance(value, DataFrame):
         return MatObject(*_matlab_table(value))
     if isinstance(value, np.number):
@@ -371,10 +372,6 @@ def class_of(value: Any) -> str:
     """Return the MATLAB class of an object, with the word for it; empty for arrays, structs and cells."""
     kind = value.kind if isinstance(value, MatObject) else getattr(value, "classname", None)
     return f"{kind} object" if kind else ""
-
-
-def _has_fields(value: Any) -> bool:
-    return isinstance(value.properties, Mapping)
 
 
 def _timed(series: MatObject) -> MatObject:

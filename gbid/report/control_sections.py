@@ -19,6 +19,7 @@ from gbid.core.errors import GbidError, UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
 from gbid.experiment.stages.fit import Row
+from gbid.experiment.stages.loop import made_costs
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
@@ -399,7 +400,7 @@ def loops_section(results: Results) -> PageSection | None:
     if not any(fit.loop is not None and fit.loop.beside for fit in fits):
         return None
     missing = [Words("the comparison is not made yet; run `gbid run`", "warn")]
-    return PageSection("loops", "Loops", loop_tables(loop_documents(results.loop_costs)) or missing)
+    return PageSection("loops", "Loops", loop_tables(loop_documents(made_costs(results.job))) or missing)
 
 
 # ---- Section on the surfaces over pressure and speed, with the estimates.

@@ -16,6 +16,7 @@ from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivit
 from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Positive
 from gbid.identify import Profile, SubspaceOrders, select
 from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.uncertainty.curves import (
@@ -719,7 +720,9 @@ def plot_profile(
 # ---- Step and impulse responses of models with confidence bands.
 
 
-def response_data(sources: Sources, kind: Excited = "step", duration_s: float | None = None) -> dict[str, TimeResponse]:
+def response_data(
+    sources: Sources, kind: Excited = "step", duration_s: Positive | None = None
+) -> dict[str, TimeResponse]:
     """Return step or impulse responses of models over the same time, for `plot_step` and `plot_impulse`.
 
     Parameters
@@ -752,7 +755,7 @@ def plot_step(
     sources: Sources,
     ax: Axes | npt.ArrayLike | None = None,
     *,
-    duration_s: float | None = None,
+    duration_s: Positive | None = None,
     level: float = LEVEL,
     units: Units = None,
 ) -> npt.NDArray[np.object_]:
@@ -789,7 +792,7 @@ def plot_impulse(
     sources: Sources,
     ax: Axes | npt.ArrayLike | None = None,
     *,
-    duration_s: float | None = None,
+    duration_s: Positive | None = None,
     level: float = LEVEL,
     units: Units = None,
 ) -> npt.NDArray[np.object_]:

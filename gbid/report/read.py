@@ -31,7 +31,6 @@ from gbid.experiment.stages.cycle import CycleRow, made_rows
 from gbid.experiment.stages.fit import FIT, Row, made_document
 from gbid.experiment.stages.impact import loops_without_controller, study_tasks
 from gbid.experiment.stages.importing import IMPORT
-from gbid.experiment.stages.loop import LoopCostRow, made_costs
 from gbid.experiment.stages.lpv import read_surfaces
 from gbid.experiment.stages.prefilter import FOLDER as PREFILTERED
 from gbid.experiment.stages.prefilter import PREFILTER
@@ -585,11 +584,6 @@ class Results:
         return StageResults(
             studies.made, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **studies.missing}
         )
-
-    @cached_property
-    def loop_costs(self) -> list[LoopCostRow]:
-        """Standard deviations in the loop beside those without controller; empty while they are not made."""
-        return made_costs(self.job)
 
     @cached_property
     def cycle(self) -> list[CycleRow]:

@@ -98,7 +98,7 @@ def test_bad_files(tmp_path: Path) -> None:
         ("kind: controller", "kind: lpv_model", r"p\.yaml:1:1: kind = 'lpv_model'"),
         ("order: 1", "ordre: 1", r"unknown option ordre; there are"),
         ("sampling:", "sampled:", r"unknown key 'sampled'"),
-        ("sample_time_s: 0.0002", "sample_time_s: -1.0", r"sample_time = -1.0 s; give a positive"),
+        ("sample_time_s: 0.0002", "sample_time_s: -1.0", r"sample_time = -1.0; give a number above 0"),
     ):
         assert old in text
         path.write_text(text.replace(old, new, 1))

@@ -225,7 +225,7 @@ def test_bad_recordings(change, text: str) -> None:
     [
         ({"lags": "many"}, "lags = 'many'"),
         ({"harmonics": -1}, "harmonics = -1"),
-        ({"skip_s": -1.0}, "skip_s = -1.0 s"),
+        ({"skip_s": -1.0}, "skip_s = -1.0; give a number of at least 0"),
         ({"start": [(120.0, 0.1)]}, "give two modes"),
     ],
 )

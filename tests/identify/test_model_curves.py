@@ -7,8 +7,8 @@ from scipy.signal import StateSpace, impulse, step, tf2ss
 
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import csv_text
-from gbid.identify import fit
-from gbid.identify.uncertainty.curves import _settling, ellipse, pole_zero, time_response
+from gbid.identify import fit, time_response
+from gbid.identify.uncertainty.curves import _settling, ellipse, pole_zero
 from gbid.identify.uncertainty.spectra import estimate_delay
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
@@ -121,7 +121,7 @@ def test_the_step_ends_at_the_static_gain(every):
 def test_wrong_questions_are_refused(every):
     with pytest.raises(UsageError, match="choose 'step' or 'impulse'"):
         time_response(every, "ramp")
-    with pytest.raises(UsageError, match="positive"):
+    with pytest.raises(UsageError, match=r"duration_s = 0\.0; give a number above 0"):
         time_response(every, "step", 0.0)
     with pytest.raises(UsageError, match="discrete"):
         time_response(every.model.discretise(H))

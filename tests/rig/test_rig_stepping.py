@@ -384,7 +384,7 @@ def test_loop_is_held_to_the_travel():
         (lambda **k: Impact.along("z"), "axis = 'z'"),
         (lambda **k: Staircase(axis="z"), "axis = 'z'"),
         (lambda **k: record(machine(), Staircase(hold_s=1.1e-3 / 2), **k), "whole number of samples"),
-        (lambda **k: replace(machine(), moving_mass=0.0), "moving_mass = 0.0 kg"),
+        (lambda **k: replace(machine(), moving_mass=0.0), "moving_mass = 0.0; give a number above 0"),
     ],
 )
 def test_bad_input_is_one_clear_line(call, words):

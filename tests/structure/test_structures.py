@@ -106,7 +106,7 @@ def test_equal_built_in_structures_share_their_matrices_and_those_of_a_user_are_
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: RotorBearing(pade_order=0), "pade_order = 0; it must be at least 1"),
+        (lambda: RotorBearing(pade_order=0), "pade_order = 0; give a whole number of at least 1 or None"),
         (lambda: RotorBearing(disturbance_gain="half"), "disturbance_gain = 'half'; choose 'full', 'diagonal'"),
         (lambda: PiezoPair(disturbance_gain="diagonal"), "disturbance_gain = 'diagonal'; choose 'none' or 'full'"),
         (lambda: Plant(outputs=("u",)), r"outputs = \('u',\); choose"),

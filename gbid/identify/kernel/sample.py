@@ -109,11 +109,6 @@ class SampleFunctions(NamedTuple):
     feeds_back: bool
 
 
-def sample_functions(equations: SampleEquations) -> SampleFunctions:
-    """Return the functions of a sample, cached by the content of the equations for the fits of a campaign."""
-    return _functions(_ByContent(equations))
-
-
 class _ByContent:
     """Equations that are equal when their content is, since symbols of CasADi are equal only to themselves."""
 
@@ -134,6 +129,7 @@ class _ByContent:
 
 @lru_cache(maxsize=32)
 def _functions(equations: _ByContent) -> SampleFunctions:
+    """Return the functions of a sample, once for the fits of a campaign."""
     eq = equations.equations
     lead, walking = [i for i in eq.prompt if eq.holds[i] == "foh"], eq.disturbances.walking
     n, n_y = eq.x.numel(), eq.y.numel()
@@ -386,7 +382,7 @@ def build_nonlinear_predictor(
         walks=walks,
         sample_time=sample_time,
         released=any(released),
-        functions=sample_functions(equations),
+        functions=_functions(_ByContent(equations)),
         known=np.array([*(values[name] for name in others), *[0.0] * len(eq.delayed), sample_time]),
         steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), longest),
         adapts=structure.steps == "auto",

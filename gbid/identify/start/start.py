@@ -356,7 +356,6 @@ def subspace_start(
     data: FitData,
     parameters: Sequence[Parameter],
     intersample: Hold | Sequence[Hold],
-    seed: int = 0,
 ) -> SubspaceStart:
     """Return start values of a linear structure from the data alone.
 
@@ -370,8 +369,6 @@ def subspace_start(
         Parameters of the structure, with fixed values and bounds. A stated start is one of many starts of the match.
     intersample : {"zoh", "foh"} or sequence of these
         Hold of the inputs.
-    seed : int
-        Seed of the random starts of the match.
 
     Returns
     -------
@@ -397,7 +394,7 @@ def subspace_start(
     at_once = "foh" in holds or m.D.nnz() > 0  # inputs act on the outputs of the same sample
     model = black_box(records, predictor.n_states, feedthrough=not decays and at_once)
     target = _target(model, data, holds, decays)
-    values, misfit = matched(structure, predictor, parameters, target, data.sample_time, seed)
+    values, misfit = matched(structure, predictor, parameters, target, data.sample_time)
     return SubspaceStart(values, len(model.A), model.lags, misfit)
 
 
@@ -407,14 +404,13 @@ def matched(
     parameters: Sequence[Parameter],
     target: Target,
     sample_time: float,
-    seed: int = 0,
 ) -> tuple[dict[str, float], float]:
     """Return parameters at which a structure has nearly a response, and the part that it does not explain."""
     known = {q.name: q for q in parameters}
     free = [known[q.name] for q in predictor.free]
     bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
     delays = {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
-    best = match(predictor, target, _draw(free, bounds, delays, target, sample_time, seed), *bounds.T)
+    best = match(predictor, target, _draw(free, bounds, delays, target, sample_time), *bounds.T)
     unused = {name: float(np.clip(0.0, known[name].lower, known[name].upper)) for name in predictor.unused}
     return unused | {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}, min(best.misfit, 1.0)
 
@@ -454,10 +450,10 @@ def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
 
 
 def _draw(
-    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int
+    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float
 ) -> Iterator[FloatArray]:
     """Yield starts of the match: the stated one, then random ones between the bounds or over many decades."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     lower, upper = bounds.T
     stated = np.array([np.nan if q.start is None else q.start for q in free], float)
     is_delay = np.array([q.name in delays for q in free], bool)
