@@ -188,6 +188,7 @@ def limited_signals(
 
 # ---- Limits for a machine of the virtual rig: no rub, with its unbalance, run-out and scatter.
 
+_DRAWS = 100  # machines from a scatter
 _TURN = np.asarray(np.arange(720) * (TURN / 720), float)  # angles of a turn
 
 
@@ -198,8 +199,6 @@ def rig_limits(
     peaks: Mapping[str, float],
     radius: Mapping[str, float] | None = None,
     scatter: Scatter | None = None,
-    draws: int = 100,
-    seed: int = 0,
 ) -> ExcitationLimits:
     """Return limits with which a machine of the rig does not rub.
 
@@ -215,11 +214,8 @@ def rig_limits(
     peaks, radius : dict of str to float
         As of `ExcitationLimits`.
     scatter : Scatter, optional
-        Differences from recording to recording. Without it the machine is always the same.
-    draws : int
-        Number of machines that are drawn from the scatter.
-    seed : int
-        Seed of the draws.
+        Differences from recording to recording, of which 100 machines are drawn. Without it the machine is always the
+        same.
 
     Returns
     -------
@@ -228,11 +224,11 @@ def rig_limits(
     """
     speed = float(conditions["speed_rpm"]) * TURN / 60.0
     drawn = []
-    for i in range(draws if scatter is not None else 0):
-        assert scatter is not None
-        random = scatter_random(seed, f"excitation {i}", conditions)
-        bearing, _ = scattered(machine.rotor_bearing, scatter, random)
-        drawn.append(PossibleMachine(bearing.key_parameters(), _taken(machine, bearing, speed)))
+    if scatter is not None:
+        for i in range(_DRAWS):
+            random = scatter_random(0, f"excitation {i}", conditions)
+            bearing, _ = scattered(machine.rotor_bearing, scatter, random)
+            drawn.append(PossibleMachine(bearing.key_parameters(), _taken(machine, bearing, speed)))
     return ExcitationLimits(
         peaks=dict(peaks),
         radius=dict(radius or {}),

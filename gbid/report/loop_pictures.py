@@ -77,7 +77,6 @@ def damping_map_data(
     *,
     n: int = 21,
     points: npt.ArrayLike | None = None,
-    pade_order: int | None = None,
     title: str = "",
 ) -> DampingMap:
     """Return the smallest damping factor of the modes over the domain of a model.
@@ -92,8 +91,6 @@ def damping_map_data(
         Number of points in each direction.
     points : (k, 2) array, optional
         Operating points with a mark; those of the model when left out.
-    pade_order : int, optional
-        Order of the Padé approximation of the delays; that of the model when left out.
     title : str
         Title of the figure.
 
@@ -106,7 +103,7 @@ def damping_map_data(
     damping = np.empty((n, n))
     for i, bar in enumerate(map(float, pressure)):
         for j, rpm in enumerate(map(float, speed)):
-            plant = model.plant_at(bar, rpm, pade_order=pade_order)
+            plant = model.plant_at(bar, rpm)
             here = controller((bar, rpm)) if callable(controller) else controller
             damping[i, j] = smallest_damping(plant if here is None else close_loop(plant, here))
     marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
@@ -246,15 +243,12 @@ class RootLocus(Brief):
         Factors.
     poles : (n, n_poles) complex array
         Poles for each factor [rad/s].
-    label : str
-        Meaning of the factor, for the colour bar.
     title : str
         Title of the figure.
     """
 
     factor: FloatArray
     poles: ComplexArray
-    label: str = "factor on the gains [-]"
     title: str = ""
 
 
@@ -263,7 +257,6 @@ def root_locus_data(
     controller: Callable[[float], LinearModel],
     factor: npt.ArrayLike,
     *,
-    label: str = "factor on the gains [-]",
     title: str = "",
 ) -> RootLocus:
     """Return the poles of a closed loop over a factor on the controller.
@@ -276,8 +269,8 @@ def root_locus_data(
         Function from the factor to the controller, as ``lambda f: p_controller(f * 1.125, f * 0.99)``.
     factor : (n,) array
         Factors.
-    label, title : str
-        Meaning of the factor, and title of the figure.
+    title : str
+        Title of the figure.
 
     Returns
     -------
@@ -286,7 +279,7 @@ def root_locus_data(
     """
     factors = np.atleast_1d(np.asarray(factor, float))
     poles = np.array([close_loop(plant, controller(float(f))).poles() for f in factors])
-    return RootLocus(factors, poles, label, title)
+    return RootLocus(factors, poles, title)
 
 
 @styled
@@ -317,7 +310,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
         look: dict[str, Any] = {"color": ink(), "markersize": 5, "markerfacecolor": "none"}
         panel.plot(at.real[near], at.imag[near], marker, label=f"{data.factor[row]:g}", **look)
     bar = figure.colorbar(cloud, ax=panel, pad=0.02)
-    bar.set_label(data.label)
+    bar.set_label("factor on the gains [-]")
     _finish_plane(panel, largest_hz)
     panel.legend(loc="lower left", title="factor", title_fontsize=8)
     panel.set_title(data.title, loc="left", pad=6)

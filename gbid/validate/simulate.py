@@ -243,9 +243,6 @@ def estimate_initial_state(
     outputs: FloatArray,
     sample_time: float,
     intersample: str | Sequence[str] | None = None,
-    *,
-    disturbances: Disturbances = UNDISTURBED,
-    counted: BoolArray | None = None,
 ) -> FloatArray:
     """Return the initial state whose simulation is closest to the measured outputs, by least squares.
 
@@ -261,18 +258,14 @@ def estimate_initial_state(
         Time between samples [s].
     intersample : {"zoh", "foh"} or sequence of these, optional
         Inter-sample behaviour of the inputs; by default that of the model.
-    disturbances : Disturbances
-        Trends and hum of the outputs, estimated together with the state.
-    counted : (n_samples,) array of bool, optional
-        Samples whose outputs count; all by default.
 
     Returns
     -------
     (n_states,) array
         Least-squares solution of smallest norm; nan when the simulation overflows.
     """
-    fitted = LinearSimulator(model, sample_time, intersample, disturbances)
-    return fitted.explain(np.transpose(inputs), np.transpose(outputs), counted).initial_state
+    fitted = LinearSimulator(model, sample_time, intersample)
+    return fitted.explain(np.transpose(inputs), np.transpose(outputs)).initial_state
 
 
 def _modes(

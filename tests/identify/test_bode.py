@@ -174,7 +174,7 @@ def test_wrong_measurements_are_refused():
     rec = simulated(MODE, MODE_AT, levels(300), noise=0.1)
     with pytest.raises(DataError, match=r"too short for resolution_hz = 0\.01; take at least 0\.0333 Hz"):
         measured_response(rec, "u", "y", resolution_hz=0.01)
-    with pytest.raises(UsageError, match="resolution_hz = -1.0; give a number above 0"):
+    with pytest.raises(UsageError, match=r"resolution_hz = -1\.0; give a number above 0"):
         measured_response(rec, "u", "y", resolution_hz=-1.0)
     twin = Recording({"u": np.repeat(rec.signal("u"), 2, axis=1), "y": rec.signal("y")}, H)
     with pytest.raises(DataError, match="independent"):

@@ -374,25 +374,18 @@ def iso_zone(peak: float) -> Zone:
     return next((zone for zone, limit in ISO_LIMITS.items() if peak <= limit), "D")
 
 
-def sensitivity_zones(loop: Sensitivities, frequency_hz: npt.ArrayLike | None = None) -> SensitivityZones:
+def sensitivity_zones(loop: Sensitivities) -> SensitivityZones:
     """Return the sensitivity of each axis of a loop with its zone of ISO 14839-3.
 
     Parameters
     ----------
     loop : Sensitivities
         Result of `gbid.sensitivities`.
-    frequency_hz : (n,) array, optional
-        Frequencies of the curves [Hz]; by default a grid that is dense around the poles. Peaks are found between these
-        frequencies, too.
 
     Returns
     -------
     SensitivityZones
-
-    Raises
-    ------
-    UsageError
-        When frequencies are not finite.
+        Curves over a grid that is dense around the poles. Peaks are found between its frequencies, too.
 
     Notes
     -----
@@ -400,8 +393,8 @@ def sensitivity_zones(loop: Sensitivities, frequency_hz: npt.ArrayLike | None = 
     are under control. These are the diagonal entries of ``S_o``. The largest singular value, `Sensitivities.peak`, is
     never smaller.
     """
-    f = loop.grid() if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
-    f = f[f > 0] if frequency_hz is None else f
+    f = loop.grid()
+    f = f[f > 0]
     names = loop.plant.output_names
     stable = loop.is_stable()
 

@@ -529,7 +529,7 @@ def pole_zero(source: ModelLike) -> PoleZero:
     return PoleZero(poles, next(spreads), zeros, next(spreads), model.name)
 
 
-def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatArray:
+def ellipse(covariance: FloatArray, level: float = LEVEL) -> FloatArray:
     """Return points on the edge of the confidence region of two normal variables about zero.
 
     Parameters
@@ -538,16 +538,14 @@ def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatA
         Their covariance; singular for a segment of a line.
     level : float
         Probability of the region.
-    n : int
-        Number of points.
 
     Returns
     -------
-    (n, 2) array
+    (60, 2) array
         Points of the closed edge.
     """
     variances, axes = np.linalg.eigh(covariance)
-    angle = np.linspace(0, 2 * np.pi, n)
+    angle = np.linspace(0, 2 * np.pi, 60)
     single = variances[0] <= 1e-9 * variances[1]  # one variable only, as for a real pole
     radius = quantile(level) if single else sqrt(-2 * log(1 - level))
     return np.asarray(
