@@ -1,12 +1,11 @@
-"""`gbid new`, `import`, `export` and `clean`: the verbs that write files beside or from an experiment."""
+"""`gbid new`, `init`, `peek`, `export` and `clean`: the verbs about files beside an experiment."""
 
 from __future__ import annotations
 
 import sys
-from copy import copy
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
-from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -71,11 +70,25 @@ def new(
     template: Annotated[
         Template, typer.Option("--template", help="Template; --list shows what each contains.")
     ] = Template.quickstart,
+    _list: Annotated[
+        bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
+    ] = False,
+) -> None:
+    """Write a commented experiment from a template; it runs as it is. `gbid init` drafts one for measured files."""
+    from gbid.cli.templates import write_template
+
+    _print_written(write_template(template.value, folder), folder, "run", "check")
+
+
+@with_options("debug")
+def init(
     measured: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
+    ],
+    options: CommonOptions,  # noqa: ARG001
+    folder: Annotated[
         Path | None,
-        typer.Option(
-            "--from", metavar="FOLDER", help="Draft an experiment for a gas bearing from the files of a folder."
-        ),
+        typer.Argument(metavar="[DIR]", help="A new or empty folder.", show_default="FOLDER-experiment, here"),
     ] = None,
     signal: Annotated[list[str] | None, _drafting("columns of r, u, p or phi", "NAME=X,Y")] = None,
     time: Annotated[str | None, _drafting("column of the sample times", "COLUMN")] = None,
@@ -90,92 +103,50 @@ def new(
     moving_mass: Annotated[float | None, _of_machine("mass that an impact moves", "KG")] = None,
     travel: Annotated[float | None, _of_machine("whole travel of a piezo stack", "UM")] = None,
     clearance: Annotated[float | None, _of_machine("clearance of the bearing", "UM")] = None,
-    _list: Annotated[
-        bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
-    ] = False,
 ) -> None:
-    """Write a commented experiment from a template; it runs as it is. `gbid init` drafts one for measured files."""
+    """Draft an experiment for a gas bearing from the files of a folder, and ask for all that they do not say."""
     from gbid.cli.printing import tell
-    from gbid.cli.templates import refuse_used, write_draft, write_template
+    from gbid.cli.templates import refuse_used, write_draft
+    from gbid.experiment.draft import DraftOptions
+    from gbid.lpv import MachineData
 
-    notes: tuple[str, ...] = ()
-    if measured is None:
-        written = write_template(template.value, folder)
-    else:
-        from gbid.experiment.draft import DraftOptions
-        from gbid.lpv import MachineData
+    folder = folder or Path(f"{measured.resolve().name}-experiment")
+    refuse_used(folder)
+    columns: dict[str, tuple[tuple[str, ...], ...]] = {}
+    for name, names in map(_signal, signal or ()):
+        columns[name] = (*columns.get(name, ()), names)
+    drafted = DraftOptions(
+        measured,
+        columns,
+        time,
+        sample_time,
+        unit,
+        pattern,
+        from_s,
+        to_s,
+        pressure,
+        speed,
+        controller,
+        MachineData(
+            moving_mass,
+            *(None if value is None else float(f"{1e-6 * value:.12g}") for value in (travel, clearance)),
+        ),
+        ask=sys.stdin.isatty(),
+    )
+    draft = _drafted(drafted, folder)
+    written = write_draft(draft.text, folder)
+    tell("\n".join(draft.columns))
+    _print_written(written, folder, "check", "run", draft.notes)
 
-        refuse_used(folder)
-        columns: dict[str, tuple[tuple[str, ...], ...]] = {}
-        for name, names in map(_signal, signal or ()):
-            columns[name] = (*columns.get(name, ()), names)
-        drafted = DraftOptions(
-            measured,
-            columns,
-            time,
-            sample_time,
-            unit,
-            pattern,
-            from_s,
-            to_s,
-            pressure,
-            speed,
-            controller,
-            MachineData(
-                moving_mass,
-                *(None if value is None else float(f"{1e-6 * value:.12g}") for value in (travel, clearance)),
-            ),
-            ask=sys.stdin.isatty(),
-        )
-        draft = _drafted(drafted, folder)
-        written, notes = write_draft(draft.text, folder), draft.notes
-        tell("\n".join(draft.columns))
+
+def _print_written(written: Sequence[Path], folder: Path, first: str, then: str, notes: Sequence[str] = ()) -> None:
+    """Print the files of a new experiment, and the verbs to call on it."""
     for path in written:
         typer.echo(str(path))
     experiment = folder / "experiment.yaml"
-    first = "check" if measured else "run"
-    then = "run" if measured else "check"
     lines = [*(f"note: {text}" for text in notes), f"next: gbid {first} {experiment}"]
     lines.append(f"then: change {experiment} and {then} it with gbid {then} {experiment}")
     typer.echo("\n".join(lines), err=True)
-
-
-def init(**given: Any) -> None:
-    """Draft an experiment for a gas bearing from the files of a folder, and ask for all that they do not say."""
-    folder = given.pop("folder") or Path(f"{given['measured'].resolve().name}-experiment")
-    new(folder=folder, template=Template.quickstart, _list=False, **given)
-
-
-_OF_INIT = {
-    "measured": Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
-    ],
-    "folder": Annotated[
-        Path | None,
-        typer.Argument(metavar="[DIR]", help="A new or empty folder.", show_default="FOLDER-experiment, here"),
-    ],
-}
-_OF_TEMPLATES = ("folder", "template", "_list", "debug")
-_OF_NEW = [q for q in signature(new).parameters.values() if q.name not in (*_OF_TEMPLATES[:-1], "measured")]
-init.__signature__ = Signature(  # type: ignore[attr-defined]  # typer reads it
-    [
-        Parameter("measured", Parameter.POSITIONAL_OR_KEYWORD, annotation=_OF_INIT["measured"]),
-        Parameter("folder", Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=_OF_INIT["folder"]),
-        *_OF_NEW,
-    ]
-)
-
-
-def _without_help(parameter: Parameter) -> Parameter:
-    """Return the parameter of an option that is taken, and not shown in the help of its verb."""
-    option = copy(parameter.annotation.__metadata__[0])
-    option.hidden = True
-    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, option])
-
-
-new.__signature__ = Signature(  # type: ignore[attr-defined]  # what drafts an experiment is shown by `gbid init`
-    [q if q.name in _OF_TEMPLATES else _without_help(q) for q in signature(new).parameters.values()]
-)
 
 
 def _signal(text: str) -> tuple[str, tuple[str, ...]]:
@@ -229,22 +200,17 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
                 )
 
 
-# ---- `gbid peek`: the channels of one measured file; `gbid import`: recordings of the import section.
-
-_Encoding = Annotated[str | None, _peeking("its encoding")]
-_Decimal = Annotated[str | None, _peeking("its decimal sign")]
-_Delimiter = Annotated[str | None, _peeking("the character between its cells")]
-_HeaderLine = Annotated[int | None, _peeking("number of its line with the names; 0 for none")]
+# ---- `gbid peek`: the channels of one measured file.
 
 
 @with_options("as_json", "debug")
 def peek(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A measured file.", show_default=False)],
     options: CommonOptions,
-    encoding: _Encoding = None,
-    decimal: _Decimal = None,
-    delimiter: _Delimiter = None,
-    header_line: _HeaderLine = None,
+    encoding: Annotated[str | None, _peeking("its encoding")] = None,
+    decimal: Annotated[str | None, _peeking("its decimal sign")] = None,
+    delimiter: Annotated[str | None, _peeking("the character between its cells")] = None,
+    header_line: Annotated[int | None, _peeking("number of its line with the names; 0 for none")] = None,
 ) -> None:
     """Show the channels of a measured file: names, units, rates, first samples, and how it is read."""
     from gbid.cli.printing import print_json, print_tables
@@ -261,31 +227,6 @@ def peek(
         if layout:
             typer.echo(f"read as text: {layout_words(layout)}")
         print_tables(channel_table(file.name, rows))
-
-
-@with_options()
-def import_recordings(
-    experiment: Annotated[
-        Path,
-        typer.Argument(
-            metavar="EXPERIMENT|FILE", help="The experiment YAML; with --peek the file.", show_default=False
-        ),
-    ],
-    options: CommonOptions,
-    peek_at: Annotated[bool, typer.Option("--peek", help="Show the channels of a file, as `gbid peek`.")] = False,
-    encoding: _Encoding = None,
-    decimal: _Decimal = None,
-    delimiter: _Delimiter = None,
-    header_line: _HeaderLine = None,
-) -> None:
-    """Read the recordings of the import section, or show the channels of a measured file."""
-    if peek_at:
-        layout: Any = {"encoding": encoding, "decimal": decimal, "delimiter": delimiter, "header_line": header_line}
-        peek(file=experiment, as_json=options.as_json, debug=options.debug, **layout)
-        return
-    from gbid.cli.stages import run_stages
-
-    run_stages("import", experiment, options)
 
 
 # ---- `gbid export`: models and controllers for other programs.

@@ -12,13 +12,12 @@ import typer
 
 from gbid._version import __version__
 from gbid.cli.about import bench, check, doctor, explain, schema
-from gbid.cli.files import clean, export, import_recordings, init, new, peek
+from gbid.cli.files import clean, export, init, new, peek
 from gbid.cli.options import HELP, RESULTS, STAGE_VERBS, STAGES, START, GroupedCommands, examples
 from gbid.cli.results import compare, diff, show
 from gbid.cli.verbs import batch, fit, paper, report, run, serve, stage_verb
 
-_OWN_OPTIONS = {"import": import_recordings, "fit": fit}  # stages whose verbs have options of their own
-_STAGES = {name: _OWN_OPTIONS.get(name) or stage_verb(name) for name in STAGE_VERBS}
+_STAGES = {name: fit if name == "fit" else stage_verb(name) for name in STAGE_VERBS}  # `fit` has options of its own
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
     START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "tune": _STAGES["tune"]},
     RESULTS: {
@@ -68,7 +67,6 @@ gbid doctor
 gbid doctor --json
 gbid schema --output rig1/experiment.schema.json
 gbid import rig2/experiment.yaml
-gbid import --peek measured/run_07.tdms
 gbid rig rig1/experiment.yaml --overwrite
 gbid fit rig1/experiment.yaml --only bearing
 gbid fit rig1/experiment.yaml --one bearing/p6_n0_prbs1   # one file, for Snakemake or an array of jobs

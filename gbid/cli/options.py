@@ -146,9 +146,7 @@ STAGE_VERBS: dict[str, StageVerb] = {
     "rig": StageVerb(
         "Make the recordings of the rig section, after the designs that close their loops.", ("loop", "rig"), OR_RUN
     ),
-    "import": StageVerb(
-        "Read the recordings of the import section, or show the channels of a measured file.", ("import",), OR_RUN
-    ),
+    "import": StageVerb("Read the recordings of the import section.", ("import",), OR_RUN),
     "fit": StageVerb("Prefilter the recordings, if the YAML says so, and run the fits.", ("prefilter", "fit")),
     "static": StageVerb(
         "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos.", ("static",)

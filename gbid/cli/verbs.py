@@ -169,8 +169,7 @@ def paper(
     """Write the paper's figures and tables, and compare our results with its numbers, row by row with reasons."""
     import json
 
-    from gbid.cli.printing import print_json, print_tables
-    from gbid.cli.stages import finish, next_step, opened, outcome_rows
+    from gbid.cli.stages import conclude, opened
     from gbid.core.files import atomic_path
     from gbid.report.named import paper as paper_files
 
@@ -191,12 +190,7 @@ def paper(
             if output is not None:
                 with atomic_path(output, overwrite=True) as part:
                     part.write_text(json.dumps(compared, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    if options.as_json:
-        print_json({**document, "outcomes": outcome_rows(outcomes)})
-    else:
-        print_tables(*tables)
-        typer.echo("\n".join(lines))
-    finish(outcomes, advice="" if options.quiet else next_step(loaded, "paper"))
+    conclude("paper", loaded, options, outcomes, document, tables, lines)
 
 
 @with_options("results", "debug")

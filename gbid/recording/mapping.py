@@ -86,7 +86,7 @@ class SignalMapping:
         Columns in the order of the channels, one for each channel. In a csv file these are names in the header line.
         In an npz or mat file they are variables (``"u_x"``) or columns of an (n_samples, n_channels) array
         (``"noise[0]"``, counted from 0). Fields of a MATLAB struct or object have dotted names (``"data.u[0]"``).
-        `gbid import --peek FILE` shows the names of any file.
+        `gbid peek FILE` shows the names of any file.
     unit : str, optional
         Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
     stored_unit : str, optional

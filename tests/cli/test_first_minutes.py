@@ -69,7 +69,7 @@ def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
         assert re.search(rf"{option}\b", text.partition("Examples:")[0]), f"{verb} has no {option}"
 
 
-def test_new_shows_the_options_of_templates_and_takes_those_of_init(capsys):
+def test_new_has_the_options_of_templates_and_init_those_of_measured_files(capsys):
     assert set(re.findall(r"^  (?:-\w, )?(--[\w-]+)", printed_by(capsys, "new", "-h").out, re.MULTILINE)) == {
         *("--template", "--list", "--debug", "--help"),
     }

@@ -1,7 +1,6 @@
 """One stage or those up to it by `gbid run`, and stored results: `gbid show` and `gbid diff`."""
 
 import hashlib
-import json
 import re
 import shlex
 import shutil
@@ -132,12 +131,6 @@ def test_diff_refuses_folders_without_results(spring, tmp_path, capsys):
     mine = spring.parent / "results/spring"
     assert "no such folder" in printed_by(capsys, "diff", mine, tmp_path / "none", code=2).err
     assert "no fit and no design in common" in printed_by(capsys, "diff", mine, tmp_path, code=2).err
-
-
-def test_peek_and_import_peek_are_the_same(spring, capsys):
-    file = spring.parent / "data/run1.csv"
-    assert printed_by(capsys, "peek", file) == printed_by(capsys, "import", "--peek", file)
-    assert json.loads(printed_by(capsys, "peek", file, "--json").out) == json_of(capsys, "import", "--peek", file)
 
 
 def test_a_result_says_what_it_was_made_with(spring, tmp_path, capsys):

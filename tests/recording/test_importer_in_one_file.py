@@ -87,5 +87,5 @@ def test_without_the_constant_it_is_unknown(measured: Path, tmp_path: Path) -> N
 
 
 def test_its_channels_are_listed(dat, measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    listed = json_of(capsys, "import", "--peek", str(measured))["channels"]
+    listed = json_of(capsys, "peek", str(measured))["channels"]
     assert [(row["channel"], row["samples"]) for row in listed] == [("t", 200), ("f", 200)]

@@ -120,7 +120,7 @@ def test_the_samples_are_those_that_were_written(tmp_path, kind):
 @KINDS
 def test_the_listing_has_names_units_and_rates(tmp_path, kind, capsys):
     path = WRITERS[kind](tmp_path / f"a{kind}")
-    rows = {row["channel"]: row for row in json_of(capsys, "import", "--peek", str(path))["channels"]}
+    rows = {row["channel"]: row for row in json_of(capsys, "peek", str(path))["channels"]}
     for name in STATED[kind]["signals"]["p"]["columns"]:
         row = rows.get(name.removesuffix(" [um]")) or rows[f"fast/{name}"]
         assert (row["samples"], row["unit"]) == (N, "um")
@@ -133,7 +133,7 @@ def test_the_listing_has_names_units_and_rates(tmp_path, kind, capsys):
             if row["rate_hz"]:
                 mapping["sample_time_s"] = row["sample_time_s"]
             assert gbid.import_recording(path, mapping).n_samples == row["samples"]
-    assert "rises in even steps of 0.0002" in printed_by(capsys, "import", "--peek", str(path)).out or kind == ".tdms"
+    assert "rises in even steps of 0.0002" in printed_by(capsys, "peek", str(path)).out or kind == ".tdms"
 
 
 def test_the_listing_of_csv_npz_and_mat(tmp_path):
@@ -258,7 +258,7 @@ def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, pa
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
     refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
-    assert f"pip install 'gbid[{extra}]'" in printed_by(capsys, "import", "--peek", str(path), code=2).err
+    assert f"pip install 'gbid[{extra}]'" in printed_by(capsys, "peek", str(path), code=2).err
 
 
 def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same_numbers(tmp_path, monkeypatch):

@@ -92,11 +92,11 @@ def test_the_listing_says_how_a_file_is_read(tmp_path, capsys):
     path = tmp_path / "Messung 1 ölig.csv"
     path.write_bytes(GERMAN.encode("cp1252"))
     for options, names in (([], ["Zeit", "Weg x", "Kraft"]), (["--encoding", "cp1250"], ["Zeit", "Weg x", "Kraft"])):
-        document = json_of(capsys, "import", "--peek", str(path), *options)
+        document = json_of(capsys, "peek", str(path), *options)
         assert [row["channel"] for row in document["channels"]] == names
         assert document["layout"]["encoding"] == (options[1] if options else "cp1252")
         assert document["channels"][1]["first"] == [1.5, 2.5, -3.25]
-    shown = printed_by(capsys, "import", "--peek", str(path)).out
+    shown = printed_by(capsys, "peek", str(path)).out
     assert "encoding 'cp1252', delimiter ';', decimal ',', header line 6, unit line 7, first row in line 8" in shown
     assert "rises in even steps of 0.1: 10 Hz" in shown
 

@@ -169,7 +169,7 @@ def test_a_pass_of_midnight_without_a_date_is_a_gap_that_is_said(tmp_path):
 def test_lines_are_named_by_the_listing(tmp_path, capsys):
     path = tmp_path / "messung.txt"
     path.write_text(SPEEDGOAT + numbers(",") + "End of file\n")
-    layout = json_of(capsys, "import", "--peek", str(path))["layout"]
+    layout = json_of(capsys, "peek", str(path))["layout"]
     assert (layout["header_line"], layout["unit_line"], layout["first_row_in_line"]) == (1, 6, 8)
     assert (layout["lines_skipped"], layout["last_row_in_line"]) == ("2 to 7", 47)
     assert [channel.unit for channel in list_channels(path)] == ["s", "V", "V"]

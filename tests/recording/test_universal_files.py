@@ -47,7 +47,7 @@ def timed(path, binary=False):
 @pytest.mark.parametrize("binary", [False, True])
 def test_functions_of_time_are_imported(tmp_path, capsys, binary):
     path = timed(tmp_path / "run.unv", binary)
-    rows = {row["channel"]: row for row in json_of(capsys, "import", "--peek", str(path))["channels"]}
+    rows = {row["channel"]: row for row in json_of(capsys, "peek", str(path))["channels"]}
     assert list(rows) == ["1x", "1-y", "force", "1x / 9z", *([] if binary else ["2x / 9z"]), "time"]
     assert (rows["1-y"]["unit"], rows["1-y"]["samples"]) == ("um", 300)
     assert rows["1-y"]["sample_time_s"] == pytest.approx(DT, rel=1e-5)

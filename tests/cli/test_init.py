@@ -1,4 +1,4 @@
-"""`gbid new --from FOLDER`: an experiment drafted from measured files, by what they say and by what is given."""
+"""`gbid init FOLDER`: an experiment drafted from measured files, by what they say and by what is given."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ def measured(tmp_path):
 
 
 def test_one_speed_is_drafted_and_can_be_checked(measured, tmp_path, capsys):
-    said = printed_by(capsys, "new", tmp_path / "own", "--from", measured, "--controller", "biquad")
+    said = printed_by(capsys, "init", measured, tmp_path / "own", "--controller", "biquad")
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     assert 'pattern: "P{pressure_bar:g}_N{speed_rpm:d}_{kind}1.csv"' in text
     assert 'kinds: {"rauschen": excited, "ruhe": stationary}' in text
@@ -61,7 +61,7 @@ def test_one_speed_is_drafted_and_can_be_checked(measured, tmp_path, capsys):
 def test_a_run_up_is_cut_away_and_one_point_has_order_0(tmp_path, capsys):
     full = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
     write(tmp_path / "a" / "5,5 bar 4000 rpm PRBS 1.csv", True, names=full, still_s=0.05)
-    assert gbid("new", tmp_path / "own", "--from", tmp_path / "a") == 0
+    assert gbid("init", tmp_path / "a", tmp_path / "own") == 0
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     assert "from_s: 0.2" in text
     assert "method: none" in text
@@ -80,10 +80,10 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
         ("--unit", ["--unit", "um"]),
         ("--pressure", ["--pressure", "5"]),
     ):
-        assert option in printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags, code=2).err
+        assert option in printed_by(capsys, "init", tmp_path / "a", tmp_path / "own", *flags, code=2).err
         flags += more
     flags += ["--moving-mass", "2.5", "--clearance", "40"]
-    left_out = printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags).err
+    left_out = printed_by(capsys, "init", tmp_path / "a", tmp_path / "own", *flags).err
     assert "not known, so left out: limits of the stacks in the control chain in C. Give --travel UM" in left_out
     assert "speed_rpm of 1 file is measured, by column angle: 4000" in left_out
     known = load_experiment(tmp_path / "own" / "experiment.yaml").spec.machine
@@ -92,14 +92,14 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     answers = iter(["c3,c4", "c5, c6", "um", "5", "2,5", "", "40"])
     monkeypatch.setattr(new.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(new.typer, "prompt", lambda *_, **__: next(answers))
-    assert gbid("new", tmp_path / "asked", "--from", tmp_path / "a", "--signal", "r=c1,c2") == 0
+    assert gbid("init", tmp_path / "a", tmp_path / "asked", "--signal", "r=c1,c2") == 0
     draft = (tmp_path / "asked" / "experiment.yaml").read_text(encoding="utf-8")
     assert draft == given.replace("name: own", "name: asked")
-    assert gbid("new", tmp_path / "third", "--from", tmp_path / "a", "--signal", "u=c1") == 2
+    assert gbid("init", tmp_path / "a", tmp_path / "third", "--signal", "u=c1") == 2
     assert "expected r, u or p with two columns" in capsys.readouterr().err
-    assert "no folder" in printed_by(capsys, "new", tmp_path / "third", "--from", tmp_path / "none", code=2).err
+    assert "no folder" in printed_by(capsys, "init", tmp_path / "none", tmp_path / "third", code=2).err
     write(tmp_path / "still" / "p5_n4000.csv", False, names="t;u_x [um];u_y [um];p_x [um];p_y [um]")
-    assert gbid("new", tmp_path / "third", "--from", tmp_path / "still") == 3
+    assert gbid("init", tmp_path / "still", tmp_path / "third") == 3
     assert "r and u move in no file" in capsys.readouterr().err
 
 
@@ -109,13 +109,13 @@ def test_a_text_without_a_table_beside_files_of_any_ending_is_left_out_with_the_
     (measured / "README").write_text(
         "Readme of this folder\n\nThese are runs of the rig, made in 2024.\nContact: someone\n"
     )
-    said = printed_by(capsys, "new", tmp_path / "own", "--from", measured)
+    said = printed_by(capsys, "init", measured, tmp_path / "own")
     assert "left out: " in said.err
     assert "README: no" in said.err
     assert len(load_experiment(tmp_path / "own" / "experiment.yaml").recordings) == 6
     for path in measured.glob("*.log"):
         path.unlink()
-    assert "README: no" in printed_by(capsys, "new", tmp_path / "none", "--from", measured, code=3).err
+    assert "README: no" in printed_by(capsys, "init", measured, tmp_path / "none", code=3).err
 
 
 @pytest.mark.parametrize(
@@ -211,12 +211,12 @@ def test_a_german_folder_with_a_mat_file_needs_one_answer(tmp_path, capsys):
         write(tmp_path / "m" / f"6bar_4200Umin_{word}.csv", moving, 4200.0, GERMAN)
     columns = np.genfromtxt(tmp_path / "m" / "6bar_4200Umin_Rauschen.csv", delimiter=";", names=True)
     savemat(tmp_path / "m" / "7bar_4200Umin_Probe.mat", {"Mess": {name: columns[name] for name in columns.dtype.names}})
-    flags = ("--from", tmp_path / "m")
-    assert gbid("new", tmp_path / "own", *flags) == 2
+    folders = (tmp_path / "m", tmp_path / "own")
+    assert gbid("init", *folders) == 2
     said = capsys.readouterr().err
     assert said.count("; give the ") == 1
     assert "--unit" in said
-    said = printed_by(capsys, "new", tmp_path / "own", *flags, "--unit", "um").err
+    said = printed_by(capsys, "init", *folders, "--unit", "um").err
     assert "  Mess.Soll_A       r x       'soll', axis a" in said
     assert "phi: its numbers reach 3" in said  # the file states no unit, and radians fall back at 6.28
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
@@ -231,16 +231,16 @@ def test_a_german_folder_with_a_mat_file_needs_one_answer(tmp_path, capsys):
 
 def test_all_open_roles_are_asked_at_once_and_unused_columns_are_told(tmp_path, capsys):
     write(tmp_path / "m" / "6bar_4200Umin.csv", True, 4200.0, "Zeit;K1;K2;K3;K4;K5;K6;K7")
-    assert gbid("new", tmp_path / "own", "--from", tmp_path / "m") == 2
+    assert gbid("init", tmp_path / "m", tmp_path / "own") == 2
     said = capsys.readouterr().err
     for option in ("u=X,Y", "p=X,Y", "r=X,Y", "phi=X"):
         assert f"--signal {option}" in said
-    flags = ("--from", tmp_path / "m", "--signal", "u=K3,K4", "--signal", "p=K5,K6", "--unit", "um")
-    said = printed_by(capsys, "new", tmp_path / "own", *flags).err
+    flags = ("--signal", "u=K3,K4", "--signal", "p=K5,K6", "--unit", "um")
+    said = printed_by(capsys, "init", tmp_path / "m", tmp_path / "own", *flags).err
     assert "  K1    not used  no known name of a signal" in said
     assert "no controller: --signal r=X,Y" in said
     assert "no run-up is cut away: --signal phi=X" in said
-    assert gbid("new", tmp_path / "wrong", *flags, "--signal", "r=K1,K9") == 2
+    assert gbid("init", tmp_path / "m", tmp_path / "wrong", *flags, "--signal", "r=K1,K9") == 2
     assert "no file has the channels K1, K9" in capsys.readouterr().err
 
 
@@ -258,7 +258,7 @@ def test_files_of_two_kinds_take_two_sets_of_names(tmp_path):
     write(folder / "7bar_4200Umin_bc.csv", True, 4200.0, "Zeit;M1;M2;M3;M4;M5;M6;M7")
     flags = [f"{s}={','.join(c + n for n in on)}" for c in "KM" for s, on in (("u", "34"), ("p", "56"), ("r", "12"))]
     options = [word for flag in (*flags, "phi=K7", "phi=M7") for word in ("--signal", flag)]
-    assert gbid("new", tmp_path / "own", "--from", folder, *options, "--unit", "um") == 0
+    assert gbid("init", folder, tmp_path / "own", *options, "--unit", "um") == 0
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     for columns in ('"K1", "K2"', '"M1", "M2"', '"K7"', '"M7"'):
         assert columns in text
@@ -275,7 +275,7 @@ def test_one_overload_decides_neither_check_nor_harmonics(tmp_path, capsys, over
         cells[5] = overload
         lines[496] = ";".join(cells)
         path.write_text("\n".join(lines), encoding="cp1252")
-    said = printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "m").err
+    said = printed_by(capsys, "init", tmp_path / "m", tmp_path / "own").err
     assert "1 overload of p_x replaced" in said
     assert "harmonics: 3" in (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     assert gbid("check", tmp_path / "own" / "experiment.yaml") == 0
