@@ -26,7 +26,10 @@ LPV = gbid.load_model("theisen2016")
         (lambda: gbid.close_loop(None, PLANT), "close_loop: plant = None; give LinearModel"),
         (lambda: gbid.cross_validate(PLANT, None), "cross_validate: result = the LinearModel 'model'; give FitResult"),
         (lambda: gbid.Recording("x", 1e-3), "Recording: signals = 'x'; give a dict by name"),
-        (lambda: gbid.RotorBearing(pade_order=float("nan")), "pade_order = nan; give a whole number or None"),
+        (
+            lambda: gbid.RotorBearing(pade_order=float("nan")),
+            "pade_order = nan; give a whole number of at least 1 or None",
+        ),
         (lambda: gbid.report.plot_campbell(LPV), "plot_campbell: models = .*theisen2016.*; give a dict by name"),
         (
             lambda: gbid.fit(gbid.RotorBearing(), DATA, prior={"k_xx": 3}),
@@ -37,7 +40,7 @@ LPV = gbid.load_model("theisen2016")
         (lambda: gbid.fit(gbid.RotorBearing, DATA), "fit: structure = the class RotorBearing; give Structure"),
         (
             lambda: gbid.fit_multistart(gbid.RotorBearing(), DATA, reach=float("nan")),
-            "reach = nan; give a finite number",
+            "reach = nan; give a number above 0",
         ),
     ],
 )
