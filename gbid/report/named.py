@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from pkgutil import walk_packages
 from types import ModuleType
@@ -57,13 +56,11 @@ class NamedFigure:
 
 def paper() -> ModuleType:
     """Return the module with the tables of the paper, which is shipped beside its experiment."""
-    comparison()  # which it imports
     return _shipped("theisen2016_paper")
 
 
 def comparison() -> ModuleType:
     """Return the module that compares the figures and sentences of the paper with results."""
-    _shipped("theisen2016_impacts")  # which it imports
     return _shipped("theisen2016_comparison")
 
 
@@ -74,14 +71,13 @@ def write_shipped(job: Job, part: Path, *, module: str, function: str, **options
 
 @cache
 def _shipped(name: str) -> ModuleType:
-    """Load a module of the folder of experiments."""
-    spec = spec_from_file_location(name, share_folder("experiments") / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses and the other module look for it
-    spec.loader.exec_module(module)
-    return module
+    """Import a module of the folder of experiments, and those of the folder that it imports."""
+    folder = str(share_folder("experiments"))
+    sys.path.insert(0, folder)
+    try:
+        return import_module(name)
+    finally:
+        sys.path.remove(folder)
 
 
 def named_figures() -> dict[str, NamedFigure]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 
 import pytest
@@ -49,6 +50,14 @@ def one_file(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(folder)])
     yield
     sys.modules.pop("gbid.report.poles", None)
+
+
+@pytest.mark.parametrize("module", ["theisen2016_impacts", "theisen2016_comparison", "theisen2016_paper"])
+def test_a_new_worker_finds_each_module_beside_the_experiment(module, tmp_path):
+    """A worker that is spawned has loaded none of them; their functions get the job and the file."""
+    task = f"from gbid.report.named import write_shipped; write_shipped(1, 2, module={module!r}, function='__name__')"
+    run = subprocess.run([sys.executable, "-c", task], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "'str' object is not callable" in run.stderr  # loaded, and its name is no function
 
 
 def test_each_figure_of_the_paper_has_a_name():
