@@ -82,11 +82,25 @@ def driven_motion(
     """
     if oversampling < MIN_OVERSAMPLING:
         raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
+    n_samples = len(reference)
+    u = np.zeros((n_samples, oversampling, 2))
+    p = np.zeros((n_samples, oversampling, 2))
+    chains = [_chain(rotor_bearing, actuator, axis) for axis in range(2)]
     # Threads do not speed up products of matrices of this size. On a busy machine they made it ten times slower.
     with one_blas_thread():
-        u, p = _positions(rotor_bearing, actuator, reference, sample_time, oversampling)
-    time = np.arange(len(u), dtype=float) * (sample_time / oversampling)
-    return Motion(time, u, p)
+        at_samples = _states_at_samples(chains, reference, sample_time)
+        for axis, (chain, states) in enumerate(zip(chains, at_samples, strict=True)):
+            delay = float(rotor_bearing.delay[axis])
+            for point in range(oversampling):
+                since = sample_time * point / oversampling
+                u[:, point, axis] = states @ scipy.linalg.expm(chain * since)[_U]
+                # p is the state one delay earlier: go back by whole samples, then forward by `ahead` seconds.
+                back = int(np.ceil((delay - since) / sample_time - 1e-12))
+                ahead = max(back * sample_time + since - delay, 0.0)
+                if back < n_samples:
+                    p[back:, point] += states[: n_samples - back] @ scipy.linalg.expm(chain * ahead)[_P].T
+    time = np.arange(n_samples * oversampling, dtype=float) * (sample_time / oversampling)
+    return Motion(time, u.reshape(-1, 2), p.reshape(-1, 2))
 
 
 def unbalance_orbit(
@@ -116,32 +130,6 @@ def unbalance_orbit(
     force = unbalance.eccentricity_m * speed**2 * np.exp(1j * unbalance.phase_rad) * np.array([1.0, -1j])
     dynamic = -(speed**2) * np.eye(2) - 1j * speed * rotor_bearing.damping - rotor_bearing.stiffness
     return np.asarray(np.outer(np.exp(1j * angle), np.linalg.solve(dynamic, force)).real)
-
-
-def _positions(
-    rotor_bearing: RotorBearingTruth,
-    actuator: ActuatorTruth,
-    reference: FloatArray,
-    sample_time: float,
-    oversampling: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return piezo and disc positions on the fine grid."""
-    n_samples = len(reference)
-    chains = [_chain(rotor_bearing, actuator, axis) for axis in range(2)]
-    at_samples = _states_at_samples(chains, reference, sample_time)
-    u = np.zeros((n_samples, oversampling, 2))
-    p = np.zeros((n_samples, oversampling, 2))
-    for axis, (chain, states) in enumerate(zip(chains, at_samples, strict=True)):
-        delay = float(rotor_bearing.delay[axis])
-        for point in range(oversampling):
-            since = sample_time * point / oversampling
-            u[:, point, axis] = states @ scipy.linalg.expm(chain * since)[_U]
-            # p is the state one delay earlier: go back by `late` samples, then forward by `ahead` seconds.
-            samples_back = int(np.ceil((delay - since) / sample_time - 1e-12))
-            ahead = max(samples_back * sample_time + since - delay, 0.0)
-            if samples_back < n_samples:
-                p[samples_back:, point] += states[: n_samples - samples_back] @ scipy.linalg.expm(chain * ahead)[_P].T
-    return u.reshape(-1, 2), p.reshape(-1, 2)
 
 
 def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int) -> FloatArray:

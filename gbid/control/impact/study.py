@@ -175,9 +175,19 @@ def validate_impact(
     motion, modelled = (measured - stationary)[rows], simulated[rows]
     direction = np.repeat([impact.along for impact in impacts], [stop - start for start, stop in windows], axis=0)
     along = [(part * direction).sum(axis=1)[:, None] for part in (motion, modelled)]
+    # standard deviation of g from the residuals, and from the noise of the force between the impacts
+    used = np.ones(n, dtype=bool)
+    from_position = covariance_of_sum([free[:, :, None]], [residual], [used], h).item() / energy**2
+    for impact in impacts:
+        used[impact.start : impact.stop + 1] = False
+    noise = float(np.sqrt(np.mean(f[used] ** 2)))
+    energies = np.array([float((response[start:stop] ** 2).sum()) for start, stop in windows])
+    impulses = np.array([np.hypot(*f[b.start : b.stop + 1].sum(axis=0)) for b in impacts])
+    relative = noise * np.sqrt([b.stop - b.start + 1 for b in impacts]) / impulses
+    from_force = g**2 * float((energies**2 * relative**2).sum()) / float(energies.sum()) ** 2
     return ImpactValidation(
         g,
-        _scale_std(g, free, residual, response, f, impacts, windows, h),
+        float(np.sqrt(from_position + from_force)),
         fit_percent(motion, modelled),
         float(fit_percent(*along)[0]),
         np.asarray(recording.time),
@@ -202,29 +212,6 @@ def _windows(response: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[t
         loud = np.flatnonzero(part > _DIED_OUT * part.max())
         windows.append((impact.start, impact.start + int(loud[-1]) + 1))
     return tuple(windows)
-
-
-def _scale_std(
-    g: float,
-    free: FloatArray,
-    residual: FloatArray,
-    response: FloatArray,
-    force: FloatArray,
-    impacts: Sequence[MeasuredImpact],
-    windows: Sequence[tuple[int, int]],
-    h: float,
-) -> float:
-    """Return the standard deviation of g_f from the residuals and from the noise of the force."""
-    used = np.ones(len(free), dtype=bool)
-    from_position = covariance_of_sum([free[:, :, None]], [residual], [used], h).item() / float((free**2).sum()) ** 2
-    for impact in impacts:
-        used[impact.start : impact.stop + 1] = False
-    noise = float(np.sqrt(np.mean(force[used] ** 2)))
-    energies = np.array([float((response[a:b] ** 2).sum()) for a, b in windows])
-    impulses = np.array([np.hypot(*force[b.start : b.stop + 1].sum(axis=0)) for b in impacts])
-    relative = noise * np.sqrt([b.stop - b.start + 1 for b in impacts]) / impulses
-    from_force = g**2 * float((energies**2 * relative**2).sum()) / float(energies.sum()) ** 2
-    return float(np.sqrt(from_position + from_force))
 
 
 # ---- Impact figures: largest motion of disc and piezos and decay time, measured and simulated.
@@ -287,7 +274,11 @@ def impact_figures(
     v, h = validation, recording.sample_time
     motion = v.measured - v.stationary
     noise = _noise(motion, v)
-    driven = _piezos(v.simulated, actuators, controller, h)
+    driven = np.zeros_like(v.simulated)
+    if controller is not None:
+        commands = controller.simulate(v.simulated)
+        reference = np.vstack([np.zeros((1, 2)), commands[:-1]])  # the computation takes one sample
+        driven = actuators.simulate(reference, h, intersample="zoh")
     moved, simulated = (np.hypot(*position.T) for position in (motion, v.simulated))
     piezos = np.full_like(driven, np.nan)
     if "u" in recording.signals:
@@ -323,16 +314,6 @@ def _decay(distance: FloatArray, noise: float) -> float:
     after = int(np.argmax(energy >= OVER * energy[-1]))
     before = energy[after - 1]
     return after - 1 + float((OVER * energy[-1] - before) / (energy[after] - before))
-
-
-def _piezos(
-    position: FloatArray, actuators: LinearModel, controller: LinearModel | None, sample_time: float
-) -> FloatArray:
-    """Return the difference of the piezo positions that a controller commands; zero without a controller."""
-    if controller is None:
-        return np.zeros_like(position)
-    reference = np.vstack([np.zeros((1, 2)), controller.simulate(position)[:-1]])  # the computation takes one sample
-    return actuators.simulate(reference, sample_time, intersample="zoh")
 
 
 # ---- Dominant modes of a ring-down: the modes of a loop that an impact excites most.

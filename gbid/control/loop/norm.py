@@ -69,11 +69,12 @@ def peak_gain(model: LinearModel, tolerance: float = 1e-8, least: float = 0.0) -
     if not model.is_stable():
         return Peak(inf, float("nan"))
     A, B, C, D = (np.array(m) for m in (model.A, model.B, model.C, model.D))
-    if model.dt is None:
-        value, w = _peak_of(A, B, C, D, tolerance, least)
-        return Peak(value, w / (2 * pi))
-    value, w = _peak_of(*_bilinear(A, B, C, D), tolerance, least)
-    return Peak(value, float(np.arctan(w) / (pi * model.dt)))
+    if model.dt is not None:  # G_c((z - 1)/(z + 1)) = G(z): equal gains at w = tan(theta / 2)
+        eye = np.eye(len(A))
+        plus = np.linalg.inv(A + eye)
+        A, B, C, D = (A - eye) @ plus, np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
+    value, w = _peak_of(A, B, C, D, tolerance, least)
+    return Peak(value, w / (2 * pi) if model.dt is None else float(np.arctan(w) / (pi * model.dt)))
 
 
 def largest_singular_values(matrices: ComplexArray) -> FloatArray:
@@ -194,12 +195,3 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma
     eigenvalues = np.linalg.eigvals(H)
     near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-13 * np.linalg.norm(H, 1)
     return np.sort(eigenvalues.imag[near & (eigenvalues.imag >= 0)])
-
-
-def _bilinear(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the continuous model with ``G_c((z - 1)/(z + 1)) = G(z)``: equal gains at ``w = tan(theta / 2)``."""
-    eye = np.eye(len(A))
-    plus = np.linalg.inv(A + eye)
-    return (A - eye) @ plus, np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
