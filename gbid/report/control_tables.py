@@ -303,8 +303,6 @@ def _result_row(result: control.GainResult) -> Row:
 
 
 def _performance_row(performance: DesignFigures) -> Row:
-    from gbid.control.assessment import FIGURES
-
     return {
         "name": performance.name,
         "structure": performance.structure,
@@ -314,12 +312,8 @@ def _performance_row(performance: DesignFigures) -> Row:
             for figure, (value, point) in performance.worst.items()
         },
         "points": [
-            {
-                "pressure_bar": float(p),
-                "speed_rpm": float(n),
-                **dict(zip(FIGURES, map(float, row), strict=True)),
-            }
-            for (p, n), row in zip(performance.points, performance.figures, strict=True)
+            {"pressure_bar": float(p), "speed_rpm": float(n), **performance.at(row)}
+            for row, (p, n) in enumerate(performance.points)
         ],
     }
 

@@ -336,7 +336,14 @@ def _posed(
         machine = replace(machine, rotor_bearing=rotor_bearing)
     if options.controller is None:
         machine.check_stable()
-    pushes, readings = _effects(machine, turning, times, options.conditions, of_effects)
+    pushes, readings = None, np.zeros((n + 1, 2))  # sums over all effects: forces per moving mass [m/s^2], readings [m]
+    for effect, generator in zip(machine.effects, of_effects, strict=True):
+        seen = RigRun(times, turning.angle(times), turning.speed_at(times), options.conditions, generator)
+        pushed, read = effect.force(seen), effect.reading(seen)
+        if pushed is not None:
+            pushes = pushed if pushes is None else pushes + pushed
+        if read is not None:
+            readings = readings + read
     forces = Forces(
         machine,
         turning,
@@ -382,25 +389,6 @@ def _along_course(
         deviation = {key: value - nominal[key] for key, value in drawn.key_parameters().items()}
     along = AlongCourse.of(options.surfaces, experiment.course, times, deviation)
     return replace(machine, rotor_bearing=along.truths[0]), along, rejected
-
-
-def _effects(
-    machine: Machine,
-    turning: Turning,
-    time: FloatArray,
-    conditions: Mapping[str, float],
-    random: Sequence[np.random.Generator],
-) -> tuple[FloatArray | None, FloatArray]:
-    """Return the sums of the forces per moving mass [m/s^2], or None, and of the readings [m] of all effects."""
-    force, reading = None, np.zeros((len(time), 2))
-    for effect, generator in zip(machine.effects, random, strict=True):
-        run = RigRun(time, turning.angle(time), turning.speed_at(time), conditions, generator)
-        pushed, read = effect.force(run), effect.reading(run)
-        if pushed is not None:
-            force = pushed if force is None else force + pushed
-        if read is not None:
-            reading = reading + read
-    return force, reading
 
 
 def _motion(run: _Run, sensor: FloatArray, shown: FloatArray) -> SteppedMotion:

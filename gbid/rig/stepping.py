@@ -742,11 +742,17 @@ def stepped_motion(
     if oversampling < MIN_OVERSAMPLING:
         raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
     n = len(excitation)
-    is_open = stack_run is not None and not stack_run.controlled
-    arrays = step_arrays(
-        machine, controller, sample_time, oversampling, wall, stack_run.stack if stack_run and is_open else None
-    )
-    base = _base(machine, stack_run, arrays, n, sample_time, n_settle)
+    open_loop = None if stack_run is None or stack_run.controlled else stack_run.stack
+    arrays = step_arrays(machine, controller, sample_time, oversampling, wall, open_loop)
+    actuator, base = machine.actuator, np.zeros((n, 4))  # command of each stack without the references of the pairs
+    if isinstance(actuator, PiezoStacks):
+        base += actuator.offset
+    if stack_run is not None:
+        if not isinstance(actuator, PiezoStacks):
+            raise UsageError("stack staircase: this machine has linear actuators; give it PiezoStacks")
+        stack = actuator.stacks[stack_run.stack - 1]
+        top = stack.stroke if stack_run.controlled else stack.voltage_limit
+        base[:, stack_run.stack - 1] = stack_run.command(top, n, sample_time, n_settle)
     longest = arrays if along is None else along.longest(arrays)
     state = rest_state(longest, machine, base[0] if n else np.zeros(4))
     orbit, velocity = forces.orbit_at_start()
@@ -771,28 +777,6 @@ def stepped_motion(
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
     r, u, p, seen, stacks, volts, ended, radius, commands = columns
     return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, "stepping, compiled")
-
-
-def _base(
-    machine: Machine,
-    stack_run: StackStaircase | None,
-    arrays: StepArrays,
-    n: int,
-    sample_time: float,
-    n_settle: int,
-) -> FloatArray:
-    """Return the command of each stack without the references of the pairs."""
-    actuator = machine.actuator
-    if not isinstance(actuator, PiezoStacks):
-        if stack_run is not None:
-            raise UsageError("stack staircase: this machine has linear actuators; give it PiezoStacks")
-        return np.zeros((n, 4))
-    base = np.full((n, 4), actuator.offset)
-    if stack_run is not None and arrays.stacks is not None:
-        i = stack_run.stack - 1
-        top = actuator.stacks[i].stroke if stack_run.controlled else actuator.stacks[i].voltage_limit
-        base[:, i] = stack_run.command(top, n, sample_time, n_settle)
-    return base
 
 
 def run_steps(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import replace
 from math import ceil, inf, isfinite, pi
 from typing import Literal
@@ -232,9 +231,9 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
         )
     if not (isfinite(computation_s) and computation_s >= 0):
         raise UsageError(f"sampling of {plant.name!r}: computation_s = {computation_s} s; it must not be negative")
-    A, n_u = np.array(plant.A), plant.B.shape[1]
+    n, n_u = plant.B.shape
     prompt = ceil(computation_s / sample_time - 1e-9)  # delay of the direct feedthrough D u in samples
-    matrices: defaultdict[int, FloatArray] = defaultdict(lambda: np.zeros((len(A), n_u)))  # of the inputs k samples ago
+    matrices: defaultdict[int, FloatArray] = defaultdict(lambda: np.zeros((n, n_u)))  # of the inputs k samples ago
     for i in range(n_u):
         parts = [(plant.B[:, [i]], 0.0)]
         if plant.delay is not None and plant.B_delayed is not None:
@@ -245,12 +244,37 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
             samples = (delay + computation_s) / sample_time
             if abs(samples - round(samples)) < 1e-9:  # avoids rounding errors at whole samples
                 samples = round(samples)
-            shift, taps = delayed_taps(A, column, samples * sample_time, sample_time, "zoh")
+            shift, taps = delayed_taps(plant.A, column, samples * sample_time, sample_time, "zoh")
             for back, tap in enumerate(taps, shift - 1):
                 if np.any(tap):
                     matrices[back][:, [i]] += tap
     depth = max([*matrices, prompt if plant.D.any() else 0])
-    return _with_registers(plant, scipy.linalg.expm(A * sample_time), matrices, prompt, depth, sample_time)
+    # shift registers: the states after x are u[k-1], u[k-2], ..., u[k-depth]
+    A = np.zeros((n + depth * n_u,) * 2)
+    B = np.zeros((len(A), n_u))
+    C, D = np.hstack([plant.C, np.zeros((len(plant.C), depth * n_u))]), np.zeros(plant.D.shape)
+    A[:n, :n], B[:n] = scipy.linalg.expm(plant.A * sample_time), matrices[0]
+    for k in range(depth):
+        A[:n, n + k * n_u : n + (k + 1) * n_u] = matrices[k + 1]
+    if depth:
+        B[n : n + n_u] = np.eye(n_u)
+        A[n + n_u :, n:-n_u] += np.eye((depth - 1) * n_u)
+    if prompt:
+        C[:, n + (prompt - 1) * n_u : n + prompt * n_u] += plant.D if plant.D.any() else 0.0
+    else:
+        D = np.array(plant.D)
+    held = tuple(f"{name}_before_{k + 1}" for k in range(depth) for name in plant.input_names)
+    return LinearModel(
+        A,
+        B,
+        C,
+        D,
+        dt=sample_time,
+        input_names=plant.input_names,
+        output_names=plant.output_names,
+        state_names=(*plant.state_names, *held),
+        name=f"{plant.name}, sampled",
+    )
 
 
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
@@ -288,40 +312,3 @@ def _check_sampling(model: LinearModel, sample_time: float) -> None:
         raise UsageError(f"model {model.name!r} is sampled already, at {model.dt:g} s")
     if not (isfinite(sample_time) and sample_time > 0):
         raise UsageError(f"sampling of {model.name!r}: sample_time = {sample_time} s; give a positive number")
-
-
-def _with_registers(
-    plant: LinearModel,
-    F: FloatArray,
-    matrices: Mapping[int, FloatArray],
-    prompt: int,
-    depth: int,
-    sample_time: float,
-) -> LinearModel:
-    """Return the plant with shift registers: the states after x are u[k-1], u[k-2], ..., u[k-depth]."""
-    n, n_u = len(F), plant.B.shape[1]
-    A = np.zeros((n + depth * n_u,) * 2)
-    B = np.zeros((len(A), n_u))
-    C, D = np.hstack([plant.C, np.zeros((len(plant.C), depth * n_u))]), np.zeros(plant.D.shape)
-    A[:n, :n], B[:n] = F, matrices[0]
-    for k in range(depth):
-        A[:n, n + k * n_u : n + (k + 1) * n_u] = matrices[k + 1]
-    if depth:
-        B[n : n + n_u] = np.eye(n_u)
-        A[n + n_u :, n:-n_u] += np.eye((depth - 1) * n_u)
-    if prompt:
-        C[:, n + (prompt - 1) * n_u : n + prompt * n_u] += plant.D if plant.D.any() else 0.0
-    else:
-        D = np.array(plant.D)
-    held = tuple(f"{name}_before_{k + 1}" for k in range(depth) for name in plant.input_names)
-    return LinearModel(
-        A,
-        B,
-        C,
-        D,
-        dt=sample_time,
-        input_names=plant.input_names,
-        output_names=plant.output_names,
-        state_names=(*plant.state_names, *held),
-        name=f"{plant.name}, sampled",
-    )
