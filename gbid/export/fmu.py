@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import product
-from math import isfinite, pi
+from math import pi
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ from gbid.core.compiled import CompilerMissingError, compile_shared
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, scratch_folder
 from gbid.core.names import given_path, one_line
+from gbid.core.option_types import NotNegative, Positive
 from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVModel
 from gbid.structure import LinearModel, LinearStructure, PiezoPair, Plant, RotorBearing, Values, symbolic_matrices
@@ -406,8 +407,8 @@ def save_fmu(
     outputs: Sequence[str] | None = None,
     delay: Delay = "exact",
     pade_order: int | None = None,
-    limits: float | Sequence[float] | None = None,
-    computation_s: float | None = None,
+    limits: Positive | Sequence[Positive] | None = None,
+    computation_s: NotNegative | None = None,
     binary: bool = True,
     overwrite: bool = False,
 ) -> Path:
@@ -468,12 +469,6 @@ def save_fmu(
     identifier = path.stem
     if path.suffix != ".fmu" or not (identifier.isidentifier() and identifier.isascii()):
         raise UsageError(f"{path}: give a file whose name is a C identifier and ends in .fmu")
-    if delay not in ("exact", "pade"):
-        raise UsageError(f"{path}: delay = {delay!r}; choose 'exact' or 'pade'")
-    for key, numbers in (("limits", limits), ("computation_s", computation_s)):
-        for value in np.atleast_1d([] if numbers is None else numbers):
-            if not (isfinite(value) and (value > 0 or (value == 0 and key == "computation_s"))):
-                raise UsageError(f"{path}: {key} = {numbers}; give positive numbers")
     if isinstance(controller, GainResult):
         controller = controller.design()
     plant = unit_plant(model, delay, pade_order)

@@ -21,7 +21,7 @@ from gbid.control.loop.close import force_entry
 from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.core.compiled import find_compiler
 from gbid.core.errors import UsageError
-from gbid.export.fmu import save_fmu
+from gbid.export import save_fmu
 from gbid.lpv import Domain, LPVModel
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'gbid[fmu]'")
@@ -433,7 +433,7 @@ def test_equal_models_give_equal_files(folder):
         ("plänt.fmu", {}, "a C identifier"),
         ("plant.zip", {}, "ends in .fmu"),
         ("a.fmu", {"delay": "none"}, "delay = 'none'; choose 'exact' or 'pade'"),
-        ("a.fmu", {"limits": 0.0}, "limits = 0.0; give positive numbers"),
+        ("a.fmu", {"limits": 0.0}, "limits = 0.0; give a number above 0, a list"),
         ("a.fmu", {"limits": float("nan")}, "limits = nan"),
         ("a.fmu", {"computation_s": -1.0}, "computation_s = -1.0"),
         ("a.fmu", {"delay": "pade", "pade_order": 0}, "pade_order = 0"),
