@@ -35,8 +35,7 @@ from gbid.experiment.campaign import (
     working,
 )
 from gbid.experiment.engines import ATTEMPTS, FEW, ONE_THREAD, ProcessPool, make_engine
-from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import file_digest
+from gbid.experiment.experiment import Experiment, digest_or_not
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
 from gbid.experiment.stages import importing
@@ -376,7 +375,7 @@ def test_a_single_fit_reads_no_other_recording(tmp_path, capsys, monkeypatch):
     assert gbid("import", fresh) == 0
     read = []
     monkeypatch.setattr(
-        "gbid.experiment.recordings.file_digest", lambda path: read.append(path.stem) or file_digest(path)
+        "gbid.experiment.recordings.digest_or_not", lambda path: read.append(path.stem) or digest_or_not(path)
     )
     assert json_of(capsys, "fit", fresh, "--one", "spring/run3")["fits"][0]["model"] == "run3"
     assert set(read) == {"run3"}

@@ -26,7 +26,7 @@ def stated(monkeypatch, apart, rounding):
     monkeypatch.setattr(
         module,
         "information_over_records",
-        lambda *_, **__: Information(*(np.pad(h, (0, 1)) for h in (gauss_newton, gauss_newton, exact)), iter([record])),
+        lambda *_, **__: Information(*(np.pad(h, (0, 1)) for h in (gauss_newton, gauss_newton, exact)), [record]),
     )
     problem = SimpleNamespace(
         n_theta=2,
