@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeGuard
 
 import h5py
 import numpy as np
@@ -28,6 +28,7 @@ from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seco
 from gbid.recording.iddata import IddataExperiment, experiments_of
 from gbid.recording.mapping import FilePart, TextOptions
 from gbid.recording.readers import (
+    ALL,
     FileChannel,
     FileFormat,
     OpenFile,
@@ -78,9 +79,9 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     with opened as file:
         schema = file.schema_arrow if is_parquet else ipc.open_file(file).schema
 
-        def read(index: int, part: FilePart | None) -> tuple[Any, int, int | None]:
+        def read(index: int, part: FilePart) -> tuple[Any, int, int | None]:
             """Return the values, the number of all, and that of the first one; no other pieces are kept."""
-            rows, first = rows_of(None if part is None or part.axis else part)  # channels as rows are read as a whole
+            rows, first = rows_of(ALL if part.axis else part)  # channels as rows are read as a whole
             if not is_parquet:
                 pieces, total = _feather_rows(ipc, file, index, rows)
                 return pyarrow.chunked_array(pieces, schema.field(index).type), total, first
@@ -94,7 +95,7 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             values = file.read_row_groups(chosen, columns=[heading]).column(0)
             return values[first - before : rows.stop - before], total, first
 
-        def stored(index: int, part: FilePart | None = None) -> StoredArray:
+        def stored(index: int, part: FilePart = ALL) -> StoredArray:
             field = schema.field(index)
             column, total, first = read(index, part)
             metadata = field.metadata or {}
@@ -109,9 +110,8 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
         headings = schema.names
         yield OpenFile(
-            lambda name: stored(find_heading(path, headings, name)),
-            lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
             lambda name, part: stored(find_heading(path, headings, name), part),
+            lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
         )
 
 
@@ -260,7 +260,7 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     """
     with h5py.File(path, "r") as file:
 
-        def get(name: str, part: FilePart | None = None) -> StoredArray:
+        def get(name: str, part: FilePart = ALL) -> StoredArray:
             name = name.strip("/")
             parent, _, field = name.rpartition("/")
             dataset, table = (file.get(place) if place else None for place in (name, parent))
@@ -282,10 +282,10 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             file.visititems(visit)
             return listed
 
-        yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()), get)
+        yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()))
 
 
-def _stored_hdf5(dataset: Any, field: str | None, part: FilePart | None = None) -> StoredArray:
+def _stored_hdf5(dataset: Any, field: str | None, part: FilePart = ALL) -> StoredArray:
     """Return a dataset, or one field of a table, with its unit; a table has a unit for each field, or none."""
     keys = _UNIT_ATTRIBUTES if field is None else (f"{field}_units", f"{field}_unit")
     stated = (dataset.attrs.get(key) for key in keys)
@@ -413,19 +413,15 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
     roots = None if names is None else {name.partition(".")[0] for name in names}
     load = cache(lambda: _load(path, roots))
 
-    def get(name: str, part: FilePart | None = None) -> StoredArray:
-        if part is not None and part.samples is not None and (rows := _rows_of_mat73(path, name, part)) is not None:
+    def get(name: str, part: FilePart = ALL) -> StoredArray:
+        if part.samples is not None and (rows := _rows_of_mat73(path, name, part)) is not None:
             return rows
         root, *fields = name.split(".")
         variables, classes = load()
         if root not in classes:
             raise DataError(f"{path}: no variable {root!r}; {nearest(root, classes)}")
         value = matlab_value(variables[root])
-        if (
-            isinstance(value, MatObject)
-            and value.kind == "iddata"
-            and name not in (root, *(f"{root}.{p}" for p in value))
-        ):
+        if _is_iddata(value) and name not in (root, *(f"{root}.{p}" for p in value)):
             channels = _channels_of_iddata(value, f"{path}: {root}")
             if (rest := name.partition(".")[2]) in channels:
                 return channels[rest]
@@ -434,7 +430,7 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
         return _stored_mat(name, value)
 
     def leaves(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, StoredArray]]:
-        if isinstance(value, MatObject) and value.kind == "iddata":
+        if _is_iddata(value):
             for channel, stored in _channels_of_iddata(value, f"{path}: {name}").items():
                 yield f"{name}.{channel}", stored
             return
@@ -448,7 +444,7 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
         variables, classes = load()
         return (leaf for name in classes for leaf in leaves(name, matlab_value(variables[name])))
 
-    yield OpenFile(get, every, get)
+    yield OpenFile(get, every)
 
 
 _NUMBERS = {f"{kind}{bits}".encode() for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {b"double", b"single"}
@@ -469,6 +465,10 @@ def _rows_of_mat73(path: Path, name: str, part: FilePart) -> StoredArray | None:
         if is_vector:
             return StoredArray(dataset[(0, *where) if len(dataset) == 1 else (*where, 0)], first=first, total=total)
         return StoredArray(dataset[(*where, slice(None), slice(None))[1::-1]].T, first=first, total=total)
+
+
+def _is_iddata(value: Any) -> TypeGuard[MatObject]:
+    return isinstance(value, MatObject) and value.kind == "iddata"
 
 
 def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
@@ -494,10 +494,8 @@ def iddata_in(path: Path, variable: str | None = None) -> list[IddataExperiment]
         When it has several and none is named.
     """
     variables, _ = _load(path, None if variable is None else {variable})
-    objects = {name: matlab_value(value) for name, value in variables.items()}
-    objects = {
-        name: value for name, value in objects.items() if isinstance(value, MatObject) and value.kind == "iddata"
-    }
+    values = {name: matlab_value(value) for name, value in variables.items()}
+    objects = {name: value for name, value in values.items() if _is_iddata(value)}
     if not objects:
         raise DataError(f"{path}: has no iddata object{f' {variable!r}' if variable else ''}; import its arrays")
     if len(objects) > 1:
@@ -581,7 +579,7 @@ def open_mdf(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 def _open_mdf(path: Path, file: Any) -> OpenFile:
     known = _places(file)
 
-    def stored(place: tuple[int, int], part: FilePart | None = None) -> StoredArray:
+    def stored(place: tuple[int, int], part: FilePart = ALL) -> StoredArray:
         rows, first = rows_of(part)
         chosen = {} if first is None else {"record_offset": first, "record_count": rows.stop - first}
         signal = file.get(group=place[0], index=place[1], ignore_invalidation_bits=True, **chosen)
@@ -591,7 +589,7 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
         total = file.groups[place[0]].channel_group.cycles_nr
         return StoredArray(values, signal.unit or None, even_step(signal.timestamps), first=first, total=total)
 
-    def get(name: str, part: FilePart | None = None) -> StoredArray:
+    def get(name: str, part: FilePart = ALL) -> StoredArray:
         places = known.get(name, [])
         if len(places) > 1:
             last = name.rpartition("/")[2]
@@ -605,7 +603,7 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
     for name, places in known.items():
         if len(places) == 1:
             names.setdefault(places[0], name)  # the shortest name that stands for one channel
-    return OpenFile(get, lambda: ((name, stored(place)) for place, name in sorted(names.items())), get)
+    return OpenFile(get, lambda: ((name, stored(place)) for place, name in sorted(names.items())))
 
 
 def _close_half_opened(error: Exception) -> None:
@@ -651,15 +649,11 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         if twice:
             raise DataError(f"{path}: holds variable {twice[0]!r} more than once; save it again with each name once")
 
-        def get(name: str, part: FilePart | None = None) -> StoredArray:
+        def get(name: str, part: FilePart = ALL) -> StoredArray:
             if name not in archive.files:
                 raise DataError(f"{path}: no variable {name!r}; {nearest(name, archive.files)}")
             try:
-                if (
-                    part is not None
-                    and part.samples is not None
-                    and (mapped := _mapped_member(archive, name)) is not None
-                ):
+                if part.samples is not None and (mapped := _mapped_member(archive, name)) is not None:
                     where, first, total = index_of(mapped.shape, part)
                     return StoredArray(np.array(mapped[where]), first=first, total=total)
                 return StoredArray(archive[name])
@@ -671,7 +665,7 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             )
             return StoredArray(np.zeros(0), fault=text, remark="pickled Python objects: not loaded")
 
-        yield OpenFile(get, lambda: ((name, get(name)) for name in archive.files), get)
+        yield OpenFile(get, lambda: ((name, get(name)) for name in archive.files))
 
 
 def _mapped_member(archive: Any, name: str) -> Any:
@@ -715,7 +709,7 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             if not known:
                 raise DataError(f"{path}: holds no channels; is it truncated?")
 
-            def get(name: str, part: FilePart | None = None) -> StoredArray:
+            def get(name: str, part: FilePart = ALL) -> StoredArray:
                 full = [each for each, channel in known.items() if name in (each, channel.name)]
                 if len(full) > 1 and name not in known:
                     raise DataError(f"{path}: channel {name!r} may be any of {', '.join(full)}; give group and channel")
@@ -723,10 +717,10 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
                     raise DataError(f"{path}: no channel {name!r}; {nearest(name, known)}")
                 return _stored_tdms(known.get(name, known[full[0]]), part)
 
-            yield OpenFile(get, lambda: ((name, _stored_tdms(channel)) for name, channel in known.items()), get)
+            yield OpenFile(get, lambda: ((name, _stored_tdms(channel)) for name, channel in known.items()))
 
 
-def _stored_tdms(channel: Any, part: FilePart | None = None) -> StoredArray:
+def _stored_tdms(channel: Any, part: FilePart = ALL) -> StoredArray:
     """Return the values of a channel with its unit, and its increment as sample time; without time it is 0 or none."""
     rows, first = rows_of(part)
     values, step = channel[rows], channel.properties.get("wf_increment")
@@ -760,7 +754,7 @@ def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         scale = -int(np.iinfo(values.dtype).min)
     data = StoredArray((values.astype(float) - offset) / scale, "", 1 / rate)
 
-    def get(name: str) -> StoredArray:
+    def get(name: str, _part: FilePart) -> StoredArray:
         if name != "data":
             raise DataError(f"{path}: no channel {name!r}; a WAV file has data[0], data[1], ...")
         return data

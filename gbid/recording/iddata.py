@@ -79,12 +79,7 @@ def experiments_of(data: Mapping[str, Any], where: str) -> list[IddataExperiment
     experiments = []
     for k in range(count):
         driving, measured = (
-            _channels(
-                arrays[k] if arrays else np.zeros((0, 0)),
-                _texts(data, f"{side}Name"),
-                _texts(data, f"{side}Unit"),
-                letter,
-            )
+            _channels(data, side, letter, arrays[k] if arrays else np.zeros((0, 0)))
             for arrays, side, letter in ((inputs, "Input", "u"), (outputs, "Output", "y"))
         )
         step = steps[k] if k < len(steps) else np.zeros(0)
@@ -107,9 +102,10 @@ def _name(text: str, instead: str) -> str:
     return f"{clean}_" if clean == "time" else clean or instead
 
 
-def _channels(values: FloatArray, names: list[str], units: list[str], letter: str) -> dict[str, IddataChannel]:
+def _channels(data: Mapping[str, Any], side: str, letter: str, values: FloatArray) -> dict[str, IddataChannel]:
     columns = values.reshape(len(values), -1).T
-    described = zip_longest(columns, names[: len(columns)], units[: len(columns)], fillvalue="")
+    names, units = (_texts(data, f"{side}{what}")[: len(columns)] for what in ("Name", "Unit"))
+    described = zip_longest(columns, names, units, fillvalue="")
     return {
         _name(str(name), f"{letter}{i}"): IddataChannel(np.asarray(column, float), str(unit))
         for i, (column, name, unit) in enumerate(described, start=1)

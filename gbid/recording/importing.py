@@ -68,11 +68,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise DataError(f"{path}: takes more memory than this process can use; cut it into several files") from None
-    start, stop = sample_range(path, mapping, columns)
     rows = _rows_in_words(columns)
-    columns = {
-        name: c._replace(values=c.values[start - (c.first or 0) : stop - (c.first or 0)]) for name, c in columns.items()
-    }
+    start, columns = in_range(path, mapping, columns)
     check_finite(path, columns, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)
     columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
@@ -231,8 +228,8 @@ def file_format(path: Path, options: TextOptions | None = None, part: FilePart |
     return replace(kind, read=partial(read_apart, kind.read), channels=partial(read_apart, kind.channels))
 
 
-def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
-    """Return the first sample of an import and the one after the last; check that all columns have the same length.
+def in_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, dict[str, FileColumn]]:
+    """Return the first sample of an import, and the columns from it on; check that all have the same length.
 
     Raises
     ------
@@ -248,7 +245,9 @@ def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColu
     stop = n if stop is None else stop
     if not start < stop <= n:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples")
-    return start, stop
+    return start, {
+        name: c._replace(values=c.values[start - (c.first or 0) : stop - (c.first or 0)]) for name, c in columns.items()
+    }
 
 
 def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], n: int) -> tuple[int, int | None]:
@@ -416,10 +415,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         columns = kind.read(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-    start, stop = sample_range(path, mapping, columns)
-    columns = {
-        name: c._replace(values=c.values[start - (c.first or 0) : stop - (c.first or 0)]) for name, c in columns.items()
-    }
+    start, columns = in_range(path, mapping, columns)
     if mapping.time is not None:
         check_finite(path, {mapping.time: columns[mapping.time]}, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)

@@ -141,18 +141,21 @@ class StoredArray(NamedTuple):
     total: int | None = None
 
 
-def rows_of(part: FilePart | None) -> tuple[slice, int | None]:
+ALL = FilePart()
+"""The whole file."""
+
+
+def rows_of(part: FilePart) -> tuple[slice, int | None]:
     """Return the samples to be read, and the number of the first one where they are some of the samples."""
-    samples = part.samples if part else None
-    return (slice(None), None) if samples is None else (slice(*samples), samples[0])
+    return (slice(None), None) if part.samples is None else (slice(*part.samples), part.samples[0])
 
 
-def index_of(shape: tuple[int, ...], part: FilePart | None) -> tuple[tuple[slice, ...], int | None, int | None]:
+def index_of(shape: tuple[int, ...], part: FilePart) -> tuple[tuple[slice, ...], int | None, int | None]:
     """Return the index of the samples to be read of an array, the number of the first one, and of all.
 
     All are read, without numbers, where no samples are named or the axis of time is not the longer one.
     """
-    if part is None or not (len(shape) == 1 or (len(shape) == 2 and shape[part.axis] == max(shape))):
+    if not (len(shape) == 1 or (len(shape) == 2 and shape[part.axis] == max(shape))):
         return (), None, None
     axis, (rows, first) = part.axis * (len(shape) - 1), rows_of(part)
     return (*[slice(None)] * axis, rows), first, shape[axis]
@@ -164,16 +167,14 @@ class OpenFile(NamedTuple):
     Attributes
     ----------
     get : callable
-        From the name of an array to the `StoredArray`. Raises DataError for a name that is not there.
+        From the name of an array, and the samples that are to be read, to the `StoredArray`. Raises DataError for a
+        name that is not there.
     every : callable
         Returns name and `StoredArray` of each, in the order of the listing.
-    get_part : callable, optional
-        As `get`, with the samples that are to be read.
     """
 
-    get: Callable[[str], StoredArray]
+    get: Callable[[str, FilePart], StoredArray]
     every: Callable[[], Iterable[tuple[str, StoredArray]]]
-    get_part: Callable[[str, FilePart], StoredArray] | None = None
 
 
 Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]]
@@ -203,14 +204,13 @@ def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sam
 
 
 def _read_arrays(
-    opener: Opener, what: str, path: Path, references: Sequence[str], part: FilePart | None = None
+    opener: Opener, what: str, path: Path, references: Sequence[str], part: FilePart = ALL
 ) -> dict[str, FileColumn]:
-    part = part or FilePart()
     names = {reference: split_reference(reference)[0] for reference in references}
     columns, totals = {}, dict[str, int]()
     with _opened(opener, what, path, list(names.values())) as file:
         for reference, name in names.items():
-            stored = file.get_part(name, part) if file.get_part else file.get(name)
+            stored = file.get(name, part)
             if stored.fault:
                 raise DataError(f"{path}: column {reference!r}: {stored.fault}")
             if part.samples is not None and stored.total is not None:

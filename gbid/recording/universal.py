@@ -18,7 +18,7 @@ from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.columns import numbered_twins
 from gbid.recording.mapping import FilePart
-from gbid.recording.readers import OpenFile, StoredArray, rows_of
+from gbid.recording.readers import ALL, OpenFile, StoredArray, rows_of
 
 UNIVERSAL_ENDINGS = (".uff", ".unv", ".uf")
 SPREAD = "standard deviation of the real part, and of the imaginary part"
@@ -198,7 +198,7 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
         if sets[k]["abscissa_spacing"]:
             starts.setdefault(float(sets[k]["abscissa_inc"]), float(sets[k]["abscissa_min"]))
 
-    def get(name: str, part: FilePart | None = None) -> StoredArray:
+    def get(name: str, part: FilePart = ALL) -> StoredArray:
         rows, first = rows_of(part)
         if name == "time" and name not in known and (shared := times(rows)) is not None:
             return StoredArray(shared, "s", first=first, total=sets[over_time[0]]["num_pts"])
@@ -232,7 +232,7 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
         if "time" not in known and (shared := times(slice(None))) is not None:
             yield "time", StoredArray(shared, "s")
 
-    yield OpenFile(get, every, get)
+    yield OpenFile(get, every)
 
 
 def read_responses(path: Path) -> tuple[dict[tuple[str, str], PairResponse], bool]:

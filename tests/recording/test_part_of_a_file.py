@@ -89,7 +89,7 @@ def test_samples_of_an_hdf5_file_are_read_alone(tmp_path):
     with h5py.File(path, "w") as file:
         file["p"], file["t"], file["short"] = P, np.arange(500) * 1e-3, np.zeros(400)
     with open_hdf5(path, None) as file:
-        stored = file.get_part("p", FilePart(1, (100, 120)))
+        stored = file.get("p", FilePart(1, (100, 120)))
         assert (stored.values.shape, stored.first) == ((3, 20), 100)
     mapping = {"time": "t", "axis": 1, "signals": SIGNALS, "samples": [100, 120]}
     made = import_recording(path, mapping)
