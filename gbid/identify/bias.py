@@ -75,12 +75,10 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     if not (exact or "foh" in holds):
         return None
     theta, starts = given.unpack(unknowns)
-    problem_and_box: tuple[Shooting, FloatArray, Box] | None = (given, starts, optimum.problem.box)
-    if exact:
-        problem_and_box = _posed_anew(optimum, *exact)
-    if problem_and_box is None:
+    posed = _posed_anew(optimum, *exact) if exact else (given, starts, optimum.problem.box)
+    if posed is None:
         return None
-    other, starts, box = problem_and_box
+    other, starts, box = posed
     other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
     x, cost, gain = np.clip(other.pack(theta, starts), *box), given.at(unknowns).cost, np.nan
     try:

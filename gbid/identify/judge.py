@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,9 +38,7 @@ from gbid.identify.uncertainty.profiles import Profiler
 from gbid.identify.uncertainty.residual_tests import Whiteness, whiteness_test
 from gbid.structure import kind_of
 
-_EQUAL = (
-    1e-3  # largest relative difference of parameters that meet; their difference has less information with its square
-)
+_EQUAL = 1e-3  # largest relative difference of parameters that meet: the data tell it ever less well
 _NEARLY_ALL = 0.99  # smallest share of their difference in what the data do not determine
 _NEAR = 1e-2  # of the range between both bounds, farther from which an estimate lies on none, wherever the data push it
 
@@ -78,12 +76,9 @@ def judge(optimum: Optimum) -> FitResult:
         modes_std=spreads.modes,
         static_gain_std=spreads.static_gain,
         initial_states=_initial_states(estimate)[:, : assembly.n_states],
-        loss=scores.loss,
         error_covariance=residuals.mean_square,
         fit_percent=residuals.fit_percent,
-        aic=scores.aic,
-        log_likelihood=scores.log_likelihood,
-        fpe=scores.fpe,
+        **scores,
         condition=spread.condition,
         status=verdict(
             solution.status,
@@ -123,7 +118,7 @@ def judge(optimum: Optimum) -> FitResult:
         local_names=local_names,
         model_slopes=spreads.slopes,
         hold_shift=bias.moved,
-        profiler=_profiler(optimum, residuals, certainty, scores.loss),
+        profiler=_profiler(optimum, residuals, certainty, scores["loss"]),
         error_models=_error_models(optimum),
     )
     return with_integration_error(result, optimum.integration_shift)
@@ -343,17 +338,8 @@ def _initial_states(estimate: Estimate) -> FloatArray:
     return estimate.starts[windows] + released_states(estimate.problem, estimate.theta, windows)
 
 
-class _Scores(NamedTuple):
-    """Loss, likelihood and criteria of information of a fit."""
-
-    loss: float
-    log_likelihood: float
-    aic: float
-    fpe: float
-
-
-def _scores(optimum: Optimum, residuals: _Residuals) -> _Scores:
-    """Return how good the fit is for its number of parameters: loss and criteria of information."""
+def _scores(optimum: Optimum, residuals: _Residuals) -> dict[str, Any]:
+    """Return how good the fit is for its number of parameters: fields of the result."""
     estimate, mean_square = residuals.estimate, residuals.mean_square
     n, k = estimate.problem.n_samples, len(estimate.theta) + int((~estimate.given).sum())
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
@@ -362,12 +348,12 @@ def _scores(optimum: Optimum, residuals: _Residuals) -> _Scores:
         log_det = -2 * optimum.weighted.log_likelihood / n - per_sample
         k += sum(f.model.coefficients.size for f in optimum.weighted.filters)
     for_gaps = sum(gains.spread for part in estimate.problem.parts for gains in part.blocks.gains)
-    return _Scores(
-        loss=float(np.trace(mean_square) if estimate.problem.criterion == "trace" else np.linalg.det(mean_square)),
-        log_likelihood=-0.5 * (n * (log_det + per_sample) + for_gaps),
-        aic=n * log_det + for_gaps + 2 * k,
-        fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
-    )
+    return {
+        "loss": float(np.trace(mean_square) if estimate.problem.criterion == "trace" else np.linalg.det(mean_square)),
+        "log_likelihood": -0.5 * (n * (log_det + per_sample) + for_gaps),
+        "aic": n * log_det + for_gaps + 2 * k,
+        "fpe": float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
+    }
 
 
 def _notes_on_coverage(optimum: Optimum, residuals: _Residuals, spread: Covariance, model: Any) -> list[str]:

@@ -31,7 +31,7 @@ from gbid.identify.problem.assemble import (
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
 from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, Refinement, integrated_finely, refinement
 from gbid.identify.problem.nlp import RecordGroup, Shooting
-from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
+from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
     InitialStates,
     check_inputs_suffice,
@@ -112,7 +112,8 @@ class FitTask:
             assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
         )
         shooting, unknowns = build_problem(assembly, self.data, self.options, full)
-        return self._posed(start, window, parameters, assembly, full, shooting, unknowns)
+        shooting, box = self._bounded(assembly, parameters, shooting, unknowns)
+        return PosedProblem(self, start, window, parameters, assembly, full, shooting, unknowns, box)
 
     def cut_anew(self, problem: PosedProblem, unknowns: FloatArray) -> PosedProblem:
         """Return a problem of another task with the courses of this one, at the same point and with the same scales.
@@ -122,16 +123,9 @@ class FitTask:
         _, _, assembly = self.assembled(problem.start, problem.parameters, problem.window)
         shooting = replace(problem.shooting, parts=assembly.parts, links=assembly.links, extra=None)
         theta, starts = problem.shooting.unpack(unknowns)
-        begins = starts_from(problem.shooting, theta, starts, shooting)
-        return self._posed(
-            problem.start,
-            problem.window,
-            problem.parameters,
-            assembly,
-            problem.begin,
-            shooting,
-            shooting.pack(theta, begins),
-        )
+        unknowns = shooting.pack(theta, starts_from(problem.shooting, theta, starts, shooting))
+        shooting, box = self._bounded(assembly, problem.parameters, shooting, unknowns)
+        return replace(problem, task=self, assembly=assembly, shooting=shooting, unknowns=unknowns, box=box)
 
     def assembled(
         self, start: Mapping[str, float], parameters: tuple[Parameter, ...], window: int | None
@@ -152,21 +146,14 @@ class FitTask:
         )
         return structure, begin, assembly
 
-    def _posed(
-        self,
-        start: Mapping[str, float],
-        window: int | None,
-        parameters: tuple[Parameter, ...],
-        assembly: Assembly,
-        begin: dict[str, float],
-        shooting: Shooting,
-        unknowns: FloatArray,
-    ) -> PosedProblem:
+    def _bounded(
+        self, assembly: Assembly, parameters: tuple[Parameter, ...], shooting: Shooting, unknowns: FloatArray
+    ) -> tuple[Shooting, Box]:
+        """Return the problem with the terms and constraints of the caller, and the bounds of its unknowns."""
         shooting = with_extra_terms(
             shooting, assembly, self.data, self.states, parameters, unknowns, self.options, self.responses
         )
-        box = unknown_bounds(shooting, assembly, self.states)
-        return PosedProblem(self, start, window, parameters, assembly, begin, shooting, unknowns, box)
+        return shooting, unknown_bounds(shooting, assembly, self.states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +190,7 @@ class PosedProblem:
     begin: dict[str, float]
     shooting: Shooting
     unknowns: FloatArray
-    box: tuple[FloatArray, FloatArray]
+    box: Box
 
 
 def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
@@ -529,7 +516,7 @@ def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
     return not neighbours(problem, unknowns) < _STRONGLY
 
 
-def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArray, FloatArray]) -> FloatArray | None:
+def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray | None:
     """Return a point of lower cost with another disturbance gain and all else as it is.
 
     Each gain is plus or minus the largest of them: sixteen points for the four gains of a bearing.

@@ -147,8 +147,6 @@ class Reweighted:
 
     Attributes
     ----------
-    unweighted : Shooting
-        The problem before.
     problem : Shooting
         The problem with weights.
     moments : WeightMoments
@@ -157,7 +155,6 @@ class Reweighted:
         Share of the samples that count less than half.
     """
 
-    unweighted: Shooting
     problem: Shooting
     moments: WeightMoments
     outlying: float
@@ -221,7 +218,7 @@ def reweighted_solution(
         if at_rest or not following.status.success:
             break
     moments = loss.moments(squared[counted], rows.shape[1])
-    return Reweighted(problem, weighted, moments, float((weights[counted] < 0.5).mean())), solution
+    return Reweighted(weighted, moments, float((weights[counted] < 0.5).mean())), solution
 
 
 def _errors(problem: Shooting, unknowns: FloatArray) -> FloatArray:

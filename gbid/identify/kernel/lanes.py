@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.core.compiled import load_library
+from gbid.core.compiled import FLAGS, load_library
 from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
 from gbid.identify.kernel.linear import CompiledPasses, filled, reached, run_compiled
 from gbid.identify.kernel.nonlinear import NonlinearKernel
@@ -249,16 +249,8 @@ def _inline(name: str, arguments: str, lines: list[str]) -> str:
 
 _BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 # With -O2 the sums of the pass stay in memory, and it takes 70 % longer.
-_FLAGS = (
-    "-O3",
-    "-march=native",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-ffp-contract=fast",
-    "-fPIC",
-    "-shared",
-    "-w",
-)
+# As for the linear kernels, but sums keep their order.
+_FLAGS = tuple(flag for flag in FLAGS if flag not in ("-fno-signed-zeros", "-fassociative-math"))
 
 
 class LanesKernel(CompiledPasses, NonlinearKernel):

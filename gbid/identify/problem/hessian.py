@@ -100,19 +100,15 @@ def passed_on(problem: Shooting, theta: FloatArray, starts: FloatArray) -> tuple
     gaps[problem.links[:, 0]] = iterate.gaps.reshape(-1, n)
     growth = amount = 0.0
     for sweep, part, gaps_of_part in zip(iterate.sweeps, problem.parts, problem.by_part(gaps), strict=True):
-        steps, edges = (
-            sweep.end_start / problem.state_scale[:, None] * problem.state_scale,
-            part.blocks.segment_first[1:],
-        )
+        steps = sweep.end_start / problem.state_scale[:, None] * problem.state_scale
+        edges = part.blocks.segment_first[1:]
         for transitions, opened in zip(np.split(steps, edges), np.split(gaps_of_part, edges), strict=True):
             passed = np.eye(n, n + 1)
             for step, gap in zip(transitions[:-1], opened[:-1], strict=True):
                 passed = step @ passed
                 passed[:, n] += gap
-                growth, amount = (
-                    max(growth, float(np.abs(passed[:, :n]).max())),
-                    max(amount, float(np.abs(passed[:, n]).max())),
-                )
+                growth = max(growth, float(np.abs(passed[:, :n]).max()))
+                amount = max(amount, float(np.abs(passed[:, n]).max()))
     return growth, amount
 
 

@@ -233,11 +233,9 @@ class ExtraTerms:
         slopes, cost, gradient = slopes.reshape(len(self.size), len(self.used)), float(value.item()), gradient.ravel()
         for each in self.responses:
             sums, n = each.sums(theta), len(theta)
-            cost, gradient[:n], hessian[:n, :n] = (
-                cost + sums.cost,
-                gradient[:n] + sums.gradient,
-                hessian[:n, :n] + sums.hessian,
-            )
+            cost += sums.cost
+            gradient[:n] += sums.gradient
+            hessian[:n, :n] += sums.hessian
         return ExtraValues(cost, gradient, hessian, rows.ravel() / self.size, slopes / self.size[:, None])
 
     def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:

@@ -859,11 +859,7 @@ def spreads_of(
     at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
     gain = np.full(D.value.shape, np.nan)
     if np.linalg.cond(at_rest.value) < 1e15:
-        gain = std_of(_static_gain(at_rest, B, C, D).slope, covariance)
+        inverse = np.asarray(np.linalg.inv(at_rest.value), float)
+        static_gain = D - C @ (Dual(inverse, -inverse @ at_rest.slope @ inverse) @ B)
+        gain = std_of(static_gain.slope, covariance)
     return std_of(mode_slopes(A, dt)[1], covariance), gain
-
-
-def _static_gain(A: Dual, B: Dual, C: Dual, D: Dual) -> Dual:
-    """Return ``D - C A^-1 B``, (n_y, n_u), of a model without a pole at zero."""
-    inverse = np.asarray(np.linalg.inv(A.value), float)
-    return D - C @ (Dual(inverse, -inverse @ A.slope @ inverse) @ B)
