@@ -351,8 +351,7 @@ def _deviations(
         if not (table["axis"] == j).any():
             continue
         with_stairs = np.unique(table["recording"][table["axis"] == j])
-        rest = (table["axis"] == -1) & np.isin(table["recording"], with_stairs)
-        chosen = (table["axis"] == j) | rest
+        chosen = np.isin(table["axis"], (j, -1)) & np.isin(table["recording"], with_stairs)
         for i in range(n_outputs):
             e = residual[chosen, i]
             deviations["rms"][i, j], deviations["largest"][i, j] = np.sqrt(np.mean(e**2)), np.abs(e).max()

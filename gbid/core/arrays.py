@@ -26,11 +26,6 @@ def is_finite(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and isfinite(value)
 
 
-def is_whole(value: object, least: int) -> bool:
-    """Return whether a value is one whole number of at least some size; flags are not."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least
-
-
 # ---- Poles: which of them oscillate, and their natural frequencies and damping factors.
 
 REAL = 1e-9

@@ -142,15 +142,14 @@ class LineModel(Brief):
         """Return the regressors by the inputs and by the outputs at lines, (n_lines, n_z, n), from their impulses."""
         n_u, n_y = self.predictor.n_inputs, self.predictor.n_outputs
         middle = max((abs(s) for s in v.shift), default=0) + 4
-        impulse, none = np.zeros((2 * middle + 1, 1)), np.zeros((2 * middle + 1, max(n_u, n_y)))
-        impulse[middle] = 1.0
+        none = np.zeros((2 * middle + 1, max(n_u, n_y)))
         turned = z[:, None] ** -(np.arange(2 * middle + 1) - middle)
 
         def seen(to_input: bool, count: int) -> ComplexArray:
             columns = []
             for i in range(count):
                 pulse = none.copy()
-                pulse[:, i] = impulse[:, 0]
+                pulse[middle, i] = 1.0
                 u, y = (pulse, none) if to_input else (none, pulse)
                 columns.append(turned @ self.predictor.regressors(u[:, :n_u], y[:, :n_y], v.shift))
             return np.stack(columns, axis=-1)

@@ -52,13 +52,6 @@ class Despiked(NamedTuple):
     samples: tuple[IntArray, ...]
 
 
-class _SpikeLimits(NamedTuple):
-    """Largest errors that a good sample may have in one channel."""
-
-    middle: float
-    side: float
-
-
 def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: FloatArray | None = None) -> Despiked:
     """Replace samples that their neighbours on both sides contradict.
 
@@ -163,28 +156,27 @@ def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
     if len(x) > 2 * _REACH:
         error = np.abs(_interpolation_error(x))
         sides = np.convolve(x, [1.0, *-_BEFORE[::-1]], mode="valid")
-        limits = _SpikeLimits(
-            max(threshold * _robust_std(error), _QUANTA * step), max(ONE_SIDED * _robust_std(sides), _QUANTA * step)
-        )
+        limit = max(threshold * _robust_std(error), _QUANTA * step)
+        limit_of_side = max(ONE_SIDED * _robust_std(sides), _QUANTA * step)
         done = 0
-        for k in np.flatnonzero(error > limits.middle) + 2:
+        for k in np.flatnonzero(error > limit) + 2:
             if k >= done:
-                start, bridge = _wrong_run(x, int(k), limits)
+                start, bridge = _wrong_run(x, int(k), limit, limit_of_side)
                 x[start : start + len(bridge)] = bridge
                 spikes += range(start, start + len(bridge))
                 done = start + len(bridge) + 2 if len(bridge) else done
     return np.array(spikes, dtype=np.int64)
 
 
-def _wrong_run(x: FloatArray, k: int, limits: _SpikeLimits) -> tuple[int, FloatArray]:
+def _wrong_run(x: FloatArray, k: int, limit: float, limit_of_side: float) -> tuple[int, FloatArray]:
     """Return the start of the shortest wrong run around a suspect sample, and its replacement, empty for none."""
     for length in range(1, LONGEST_RUN + 1):
         first, last = max(k - length + 1, _REACH), min(k + LONGEST_RUN, len(x) - _REACH - length + 1)
-        starts = [start for start in range(first, last) if _off_both_sides(x, start, start + length, limits.side)]
+        starts = [start for start in range(first, last) if _off_both_sides(x, start, start + length, limit_of_side)]
         trials = [(start, *_bridged(x, start, start + length)) for start in starts]
         if trials:
             start, bridge, left = min(trials, key=lambda trial: trial[2])
-            if left <= limits.middle:
+            if left <= limit:
                 return start, bridge
     return k, x[:0]
 
