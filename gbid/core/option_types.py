@@ -157,13 +157,9 @@ def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
         kinds = [each for each in get_args(kind) if each is not NoneType]
         return _first_wrong_entry(kinds[0], value) if len(kinds) == 1 else None
     origin, args = get_origin(kind), get_args(kind)
-    if (
-        not isinstance(origin, type)
-        or not issubclass(origin, Collection)
-        or not isinstance(value, Mapping | list | tuple)
-    ):
+    if not isinstance(origin, type) or not issubclass(origin, Collection):
         return None
-    if issubclass(origin, Mapping) != isinstance(value, Mapping):
+    if not isinstance(value, Mapping | list | tuple) or issubclass(origin, Mapping) != isinstance(value, Mapping):
         return None
     entries: Iterable[tuple[Any, Any, Any]]
     if isinstance(value, Mapping):

@@ -434,13 +434,12 @@ def terminal_table(table: Table) -> Group:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    title = Text(printable(table.title)) if table.title else None
     headed = any(column.name for column in table.columns)
     if headed:
         laid = RichTable(title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     else:
         laid = RichTable.grid(padding=(0, 2, 0, 0))
-    laid.title = title
+    laid.title = Text(printable(table.title)) if table.title else None
     for column in table.columns:
         heading = Text("\n".join(map(printable, column.lines.split("\n"))))
         laid.add_column(

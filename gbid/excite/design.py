@@ -71,7 +71,9 @@ def design_excitation(
     recording, see `gbid.excite.expected_covariance`.
     """
     known = known_model(model)
-    n_samples = _samples(duration, sample_time)
+    n_samples = round(duration / sample_time)
+    if n_samples < _SHORTEST:
+        raise UsageError(f"duration = {duration:g} s is {n_samples} samples; give at least {_SHORTEST}")
     limits = limits if isinstance(limits, ExcitationLimits) else ExcitationLimits(peaks=dict(limits))
     with one_blas_thread():
         lines = LineModel.of(known, sample_time)
@@ -109,13 +111,6 @@ def design_excitation(
         units=units,
         **parts,
     )
-
-
-def _samples(duration: float, sample_time: float) -> int:
-    n_samples = round(duration / sample_time)
-    if n_samples < _SHORTEST:
-        raise UsageError(f"duration = {duration:g} s is {n_samples} samples; give at least {_SHORTEST}")
-    return n_samples
 
 
 # ---- Length of the recording that reaches given standard deviations.

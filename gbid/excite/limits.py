@@ -178,8 +178,7 @@ def limited_signals(
         disc = other[:, known.channels(limits.disc)[1]]
         limited.append(LimitedSignal(f"clearance in machine {i + 1}", disc / (SAFE * room)))
     bounded = {column for b in bounds if b.is_input for column in b.columns}
-    missing = [label for i, label in enumerate(known.model.input_names) if i not in bounded]
-    if missing:
+    if missing := [label for i, label in enumerate(known.model.input_names) if i not in bounded]:
         raise UsageError(
             f"limits: input {missing[0]} has no limit; give its largest magnitude, such as peaks={{...: 4.5e-6}}"
         )

@@ -226,8 +226,7 @@ def disturbances_of(options: FitOptions, outputs: tuple[str, ...], sample_time: 
     """
     trend, hum = options.trend, options.hum
     if isinstance(trend, Mapping):
-        unknown = [name for name in trend if name not in outputs]
-        if unknown:
+        if unknown := [name for name in trend if name not in outputs]:
             raise UsageError(
                 f"trend names {unknown[0]!r}, which is no output of the fit; they are {', '.join(outputs)}"
             )

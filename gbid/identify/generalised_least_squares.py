@@ -206,16 +206,16 @@ def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArr
     joined = task.shooting
     begin, chance = task.coordinates(start[kept]), float(np.log(joined.n_samples / 2))
     minimum = _descend(task, task.coordinates(first.unknowns[kept]))
-    points = list[_Point]()
+    points = list[_Point | _Descended]()
     if task.is_elsewhere(begin, minimum):
-        points.append(_point(minimum))
+        points.append(minimum)
         minimum = _likelier(_descend(task, begin), minimum, chance)
     if minimum.status.success:
         scanned = _scanned(task, minimum, chance + _LIKELY)
         points += scanned
-        top = max(scanned, key=lambda point: point.score, default=_point(minimum))
+        top = max(scanned, key=lambda point: point.score, default=minimum)
         if top.score > minimum.score and task.is_elsewhere(top.z, minimum):
-            points.append(_point(minimum))
+            points.append(minimum)
             minimum = _likelier(minimum, _descend(task, top.z), chance)
     elsewhere = [point for point in points if task.is_elsewhere(point.z, minimum)] if minimum.status.success else []
     unknowns = joined.pack(*(getattr(task.estimate(minimum.z), name) for name in ("theta", "starts")))
@@ -238,7 +238,7 @@ def _likelier(minimum: _Descended, other: _Descended, chance: float) -> _Descend
 
 
 def _elsewhere(
-    minimum: _Descended, points: Sequence[_Point], names: Sequence[str]
+    minimum: _Descended, points: Sequence[_Point | _Descended], names: Sequence[str]
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return how far other maxima are from a minimum, times the root of their share of the likelihood, and a note.
 
@@ -278,10 +278,6 @@ class _Point(NamedTuple):
 
     score: float
     z: FloatArray
-
-
-def _point(minimum: _Descended) -> _Point:
-    return _Point(minimum.score, minimum.z)
 
 
 class _Mode(NamedTuple):

@@ -50,7 +50,7 @@ def judge(optimum: Optimum) -> FitResult:
     residuals = _residuals(optimum)
     certainty = _certainty(optimum, residuals)
     estimate, spread, bias, whiteness = residuals.estimate, certainty.spread, certainty.bias, residuals.whiteness
-    shooting, theta = estimate.problem, estimate.theta
+    shooting, theta, windows = estimate.problem, estimate.theta, estimate.record_window
     parameters, local_names = _parameters(optimum, theta)
     std = _standard_deviations(optimum, parameters, certainty)
     model = _model(optimum, estimate, parameters)
@@ -75,7 +75,7 @@ def judge(optimum: Optimum) -> FitResult:
         whiteness=whiteness.p_value if residuals.finite else np.full(len(residuals.products), np.nan),
         modes_std=spreads.modes,
         static_gain_std=spreads.static_gain,
-        initial_states=_initial_states(estimate)[:, : assembly.n_states],
+        initial_states=(estimate.starts[windows] + released_states(shooting, theta, windows))[:, : assembly.n_states],
         error_covariance=residuals.mean_square,
         fit_percent=residuals.fit_percent,
         **scores,
@@ -330,12 +330,6 @@ def _spreads_of_model(optimum: Optimum, estimate: Estimate, covariance: FloatArr
     free = estimate.problem.parts[0].predictor.free
     tie = centre_tie(scheduled, free, list(_free_names(optimum))) if scheduled else None
     return model_spreads(estimate, covariance, model, [q.name for q in structure.parameters], tie)
-
-
-def _initial_states(estimate: Estimate) -> FloatArray:
-    """Return the initial states of the records, (n_records, n)."""
-    windows = estimate.record_window
-    return estimate.starts[windows] + released_states(estimate.problem, estimate.theta, windows)
 
 
 def _scores(optimum: Optimum, residuals: _Residuals) -> dict[str, Any]:

@@ -240,8 +240,7 @@ class RunoutMap(Brief):
         DataError
             When a condition differs; the text gives both values.
         """
-        key = differing_condition(self.conditions, conditions)
-        if key:
+        if key := differing_condition(self.conditions, conditions):
             raise DataError(
                 f"recording {name!r}: {key} = {conditions.get(key)}, but the run-out map was made at "
                 f"{self.conditions.get(key)} (from {', '.join(self.sources)}); make a map at this operating "

@@ -645,8 +645,7 @@ MDF = array_format((".mf4", ".mdf"), "MDF file", open_mdf, states_sample_time=Tr
 def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     """Return a context with an npz archive; pickled objects are never loaded."""
     with path.open("rb") as handle, np.lib.npyio.NpzFile(handle, allow_pickle=False) as archive:
-        twice = [name for name, count in Counter(archive.files).items() if count > 1]
-        if twice:
+        if twice := [name for name, count in Counter(archive.files).items() if count > 1]:
             raise DataError(f"{path}: holds variable {twice[0]!r} more than once; save it again with each name once")
 
         def get(name: str, part: FilePart = ALL) -> StoredArray:

@@ -61,8 +61,7 @@ def signal_columns(
     values = {}
     for key, given in signals.items():
         columns = [given] if isinstance(given, str) else list(given)
-        missing = [name for name in columns if name not in names]
-        if missing:
+        if missing := [name for name in columns if name not in names]:
             raise UsageError(f"signal {key!r}: the frame has no column {missing[0]!r}; it has {', '.join(names)}")
         values[key] = np.column_stack([np.asarray(frame.iloc[:, names.index(name)]) for name in columns])
     return values, named

@@ -146,8 +146,7 @@ def _decoded(path: Path, data: bytes, codec: str) -> str:
             f"{path}: not text in {codec} (byte {error.start}): give its encoding (encoding: ...), or export it as csv "
             "in UTF-8"
         ) from None
-    strange = _CONTROL.intersection(text[:100_000])
-    if strange:
+    if strange := _CONTROL.intersection(text[:100_000]):
         raise DataError(
             f"{path}: not a text file in {codec}: it holds the character {min(strange)!r}; give its encoding "
             "(encoding: ...), or export it as csv"

@@ -160,8 +160,7 @@ def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = N
     percent, which does not determine the poles.
     """
     table = _one_fit(models, fit)
-    missing = [name for name in ACTUATOR if name not in table.parameter_names]
-    if missing:
+    if missing := [name for name in ACTUATOR if name not in table.parameter_names]:
         raise UsageError(
             f"the fits are not actuator models, they have no {', '.join(missing)}; give fits of PiezoPair "
             "with real poles (structure: piezo_pair)"

@@ -224,8 +224,9 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
         segments = [members[i].segment for i in places]
         gaps = _needs_gap_kernel(predictor, segments)
         if gaps:
-            sizes = predictor.n_states, predictor.feeds_back
-            segments = [with_constant_gain(each, sizes[0], feeds_back=sizes[1]) for each in segments]
+            segments = [
+                with_constant_gain(each, predictor.n_states, feeds_back=predictor.feeds_back) for each in segments
+            ]
         if not gaps and key not in kernels:
             kernels[key], on_choice = choose_kernel(predictor, begin)
             notes |= dict.fromkeys(on_choice)
@@ -468,8 +469,7 @@ def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record
 def _check_names(data: FitData) -> None:
     """Raise an error for recordings with equal names, because options identify recordings by name."""
     names = [record.name for record in data.records]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(
             f"several recordings are named {twice[0]!r}; local parameters, trends, hum and left_out identify "
             "recordings by name, so give each its own"

@@ -256,8 +256,7 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
         records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
         actuators = start_values(structure.actuators, replace(data, records=actuator_records), {})
     else:
-        needed = [q.name for q in structure.actuators.parameters if q.name not in given]
-        if needed:
+        if needed := [q.name for q in structure.actuators.parameters if q.name not in given]:
             raise UsageError(
                 f"structure {structure.name!r} from r to p alone does not determine the actuators: "
                 f"fix {', '.join(needed)} (fixed=...) or add u to the outputs"
@@ -269,8 +268,7 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
 
 
 def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
-    missing = [q.name for q in structure.parameters if q.name not in given]
-    if missing:
+    if missing := [q.name for q in structure.parameters if q.name not in given]:
         nonlinear = kind_of(structure).nonlinear
         why = ": nonlinear structures have no search for start values in the data" if nonlinear else ""
         raise UsageError(

@@ -516,19 +516,13 @@ def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
     n = len(record.errors)
     size = scipy.fft.next_fast_len(n + min(n, _APART), real=True)
     psi = record.psi if len(chosen) == len(place) else record.psi[:, chosen]
-    feedback = _feedback(record, place, chosen)
+    feedback = None
+    if record.feedback is not None:
+        v, columns = record.feedback
+        which = np.flatnonzero(np.isin(columns, chosen))
+        feedback = v, which, place[columns[which]]
     onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
     return Transform(onto, place[chosen], size, feedback, record.errors, record.counted)
-
-
-def _feedback(
-    record: RecordSensitivities, place: IntArray, chosen: IntArray
-) -> tuple[PredictorValues, IntArray, IntArray] | None:
-    if record.feedback is None:
-        return None
-    v, columns = record.feedback
-    which = np.flatnonzero(np.isin(columns, chosen))
-    return v, which, place[columns[which]]
 
 
 def _products(record: Transform) -> tuple[FloatArray, int]:
