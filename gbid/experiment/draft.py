@@ -250,7 +250,30 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
         stated = {channel.name: channel.unit for channel in each if channel.unit}
         units = {s: stated[columns[0]] for s, columns in roles[path].signals.items() if columns[0] in stated} | units
     reasons: dict[str, str] = {}
-    files = [_measured(path, each, roles[path], units, options, reasons) for path, each in channels.items()]
+    files = []
+    for path, each in channels.items():
+        role, listed = roles[path], ", ".join(channel.name for channel in each)
+        for signal in ROLES:
+            needed = signal in ("u", "p") or (signal in role.open_roles and signal not in options.signals)
+            if signal not in role.signals and needed:
+                reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {listed}")
+        if role.time is None and options.sample_time_s is None:
+            reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
+        with_unit = {channel.name for channel in each if channel.unit}
+        given = {}  # units that the mapping has to state: as given, or as in the other files
+        for signal in dict.fromkeys((*role.signals, "u", "p")):
+            chosen = role.signals.get(signal)
+            if with_unit.intersection(chosen or [name for name, (taken, _) in role.columns.items() if not taken]):
+                continue
+            is_angle = signal == "phi"
+            unit = units.get(signal, "") if is_angle else options.unit or units.get(signal)
+            if unit is None:
+                reasons.setdefault("unit", f"{path}: the file states no unit of {signal}")
+            elif chosen:
+                if unit:
+                    conversion_factor(unit, "rad" if is_angle else "m")
+                given[signal] = unit
+        files.append(MeasuredFile(path, role.time, role.signals, given, {}))
     names = _names(options, files)
     for i, file in enumerate(files):
         missing = [key for key, value in _conditions(options, names, file.path).items() if value is None]
@@ -329,39 +352,6 @@ def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]
 
 def _as_variable(name: str) -> str:
     return re.sub(r"[^\w.]", "_", name)
-
-
-def _measured(
-    path: Path,
-    channels: Sequence[FileChannel],
-    roles: Roles,
-    usual: Mapping[str, str],
-    options: DraftOptions,
-    reasons: dict[str, str],
-) -> MeasuredFile:
-    """Return a file with the units that its mapping states, as given or as in the other files; add what is open."""
-    names = ", ".join(channel.name for channel in channels)
-    for signal in ROLES:
-        needed = signal in ("u", "p") or (signal in roles.open_roles and signal not in options.signals)
-        if signal not in roles.signals and needed:
-            reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {names}")
-    if roles.time is None and options.sample_time_s is None:
-        reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
-    stated = {channel.name for channel in channels if channel.unit}
-    units = {}
-    for signal in dict.fromkeys((*roles.signals, "u", "p")):
-        columns = roles.signals.get(signal)
-        if stated.intersection(columns or [name for name, (taken, _) in roles.columns.items() if not taken]):
-            continue
-        is_angle = signal == "phi"
-        unit = usual.get(signal, "") if is_angle else options.unit or usual.get(signal)
-        if unit is None:
-            reasons.setdefault("unit", f"{path}: the file states no unit of {signal}")
-        elif columns:
-            if unit:
-                conversion_factor(unit, "rad" if is_angle else "m")
-            units[signal] = unit
-    return MeasuredFile(path, roles.time, roles.signals, units, {})
 
 
 # ---- Operating point and kind of recordings from the names of their files.
