@@ -44,7 +44,6 @@ from gbid.experiment.stages.lpv import read_surfaces
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
-    from gbid.identify import FitResult
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
@@ -248,26 +247,23 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
     return design_result(experiment, name, path, sources)
 
 
-def fitted_plants(job: Job, section: ControllerSection) -> dict[str, FitResult]:
-    """Return the models of the fit that a design names, by their names."""
-    fit = str(section.model)
-    return {f"{fit}_{model}": load_made_fit(job, fit, model) for model in fit_models(job.experiment, fit)}
-
-
-def design_plant(job: Job, section: ControllerSection) -> tuple[lpv.LPVModel, control.Uncertainty | None]:
-    """Return the LPV model of a design, and its uncertainty when the section wants other plants besides it."""
+def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Uncertainty | None]:
+    """Return the plants of a design: an LPV model with its uncertainty where the section wants it, or fits by name."""
+    if is_fitted(job.experiment, section):
+        fit = str(section.model)
+        return {f"{fit}_{model}": load_made_fit(job, fit, model) for model in fit_models(job.experiment, fit)}, None
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    fit, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
-    model = with_actuators(fit.model)
+    surfaces, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
+    model = with_actuators(surfaces.model)
     if section.robust is not None:
-        return model, control.Uncertainty(fit.covariance, scatter=fit.scatter)
+        return model, control.Uncertainty(surfaces.covariance, scatter=surfaces.scatter)
     if drawn is None:
         return model, None
     if drawn.plants == "recordings":
-        return model, control.Uncertainty(samples=fit.estimates.values - fit.surface)
-    return model, control.Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
+        return model, control.Uncertainty(samples=surfaces.estimates.values - surfaces.surface)
+    return model, control.Uncertainty(surfaces.covariance, draws=drawn.draws, seed=drawn.seed)
 
 
 def _travel_goal(section: ControllerSection) -> control.PiezoTravel | None:
@@ -306,10 +302,7 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
 
 def _write_design(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
-    model: Any
-    model, plants = (
-        (fitted_plants(job, section), None) if is_fitted(experiment, section) else design_plant(job, section)
-    )
+    model, plants = design_plant(job, section)
     structure: Any = design_structure(experiment, section, getattr(model, "domain", None))
 
     def disturbance(patterns: tuple[str, ...]) -> control.DisturbanceSpectrum:
