@@ -487,7 +487,10 @@ def save_fmu(
     files: dict[str, bytes] = {"modelDescription.xml": description}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if binary:
-        folder, ending = _platform()
+        system = platform.system()
+        if system not in _PLATFORMS:
+            raise UsageError(f"FMI 2.0 has no name for libraries of {system}; write the sources only: binary=False")
+        folder, ending = _PLATFORMS[system]
         files[f"binaries/{folder}/{identifier}{ending}"] = _library(path, sources)
     with atomic_path(path, overwrite) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, contents in files.items():
@@ -590,14 +593,6 @@ def _sources(plant: UnitPlant, variables: list[UnitVariable], controller: UnitCo
         "fmi2_interface.h": templates.get_template("fmi2_interface.h").render(),
         "equations.h": str(generator.dump()),
     }
-
-
-def _platform() -> tuple[str, str]:
-    """Return the folder of the libraries of this platform in a unit, and the ending of their names."""
-    system = platform.system()
-    if system not in _PLATFORMS:
-        raise UsageError(f"FMI 2.0 has no name for libraries of {system}; write the sources only: binary=False")
-    return _PLATFORMS[system]
 
 
 def _library(path: Path, sources: dict[str, str]) -> bytes:

@@ -293,7 +293,9 @@ def record(machine: Machine, experiment: Experiment, options: RecordOptions) -> 
         if isinstance(machine.actuator, ActuatorTruth):
             raise UsageError("stacks: this machine has linear actuators; give it PiezoStacks")
         signals |= {"y_p": motion.stacks[logged], "v": motion.volts[logged]}
-        signals["r_p"] = _stack_references(experiment, motion.commands[logged])
+        signals["r_p"] = motion.commands[logged].copy()
+        if isinstance(experiment, StackStaircase) and not experiment.controlled:
+            signals["r_p"][:, experiment.stack - 1] = 0.0  # in open loop the stack has no reference
     recording = Recording(
         signals,
         sample_time,
@@ -434,8 +436,14 @@ def _motion(run: _Run, sensor: FloatArray, shown: FloatArray) -> SteppedMotion:
             oversampling=options.oversampling,
             wall=flag,
         )
-    if not flag:
-        _check_clearance(options.name, run.time, motion.radius, machine.clearance)
+    worst = int(motion.radius.argmax())
+    largest = motion.radius[worst]
+    if not (flag or largest < machine.clearance):
+        raise DataError(
+            f"recording {options.name!r}: the disc moves {largest * 1e6:.1f} um at {run.time[worst]:.4f} s and "
+            f"reaches the clearance of {machine.clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold, or "
+            "simulate the contact (touch_down: flag)"
+        )
     return motion
 
 
@@ -452,25 +460,6 @@ def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
     return SteppedMotion(
         run.reference, driven.u[::over], p, seen, none, none, none, none, radius, "closed form, exact delays"
     )
-
-
-def _stack_references(experiment: Experiment, command: FloatArray) -> FloatArray:
-    """Return the references of the stacks [m]; zero for a stack in open loop."""
-    if isinstance(experiment, StackStaircase) and not experiment.controlled:
-        command = command.copy()
-        command[:, experiment.stack - 1] = 0.0
-    return command
-
-
-def _check_clearance(name: str, time: FloatArray, radius: FloatArray, clearance: float) -> None:
-    """Refuse a recording in which the disc reaches the clearance."""
-    worst = int(radius.argmax())
-    if not radius[worst] < clearance:
-        raise DataError(
-            f"recording {name!r}: the disc moves {radius[worst] * 1e6:.1f} um at {time[worst]:.4f} s and "
-            f"reaches the clearance of {clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold, or "
-            "simulate the contact (touch_down: flag)"
-        )
 
 
 # ---- Provenance of a rig recording: how it was made, written as texts and read back.

@@ -466,8 +466,7 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
     ring = study.ringdown
     return [
         {
-            "pressure_bar": study.conditions["pressure_bar"],
-            "speed_rpm": study.conditions["speed_rpm"],
+            **study.conditions,
             "loop": study.loop,
             "mode": i + 1,
             "expected_frequency [Hz]": study.expected[i][0],
@@ -491,8 +490,7 @@ def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
     return [
         {
             "recording": v.recording,
-            "pressure_bar": study.conditions["pressure_bar"],
-            "speed_rpm": study.conditions["speed_rpm"],
+            **study.conditions,
             "loop": study.loop,
             "axis": v.axis,
             "impacts": len(v.impacts),

@@ -730,11 +730,9 @@ def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
     return [model]
 
 
-def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:
+def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) -> FloatArray:
     """Return operating points (m, 2), checked against the domain; of a whole domain its corners and middles."""
     if isinstance(given, str):
-        if given != "domain":
-            raise UsageError(f"operating_points = {given!r}; give a list of (pressure_bar, speed_rpm) or 'domain'")
         (p0, p1), (w0, w1) = lpv.domain.pressure_bar, lpv.domain.speed_rpm
         return np.array([(p, w) for p in (p0, (p0 + p1) / 2, p1) for w in (w0, (w0 + w1) / 2, w1)])
     points = lpv.operating_points if given is None else given

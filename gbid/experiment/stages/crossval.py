@@ -301,7 +301,8 @@ class FitPairs:
                 test = self._residuals == "pairs" or (self._residuals == "models" and pair in tested)
                 try:
                     data = data or load_fit_input(self._job, self._job.experiment.recordings[recording])
-                    validation = validation or self._data(pair[0], data)
+                    left_out = left_out_of(self._job, self._name, data)
+                    validation = validation or validation_data(self._model(pair[0])[1], data, left_out)
                     rows[pair] = self._rows(pair[0], data, validation, test)
                 except DataError as error:
                     failed[pair] = str(error)
@@ -321,9 +322,6 @@ class FitPairs:
             p, follows = residuals.p_white.tolist(), residuals.follows
         columns = (outputs, percent.tolist(), largest.tolist(), validation.output_units, p, map(shlex.join, follows))
         return [(model, data.name, *cells) for cells in zip(*columns, strict=True)]
-
-    def _data(self, model: str, data: Recording) -> ValidationData:
-        return validation_data(self._model(model)[1], data, left_out_of(self._job, self._name, data))
 
     def _load_model(self, model: str) -> tuple[Simulator, identify.FitResult]:
         result = load_made_fit(self._job, self._name, model)
