@@ -86,7 +86,7 @@ def validate_pair(job: Job, name: str, model: str, recording: str) -> validate.V
         When the fit or the recording is missing, or their signals differ.
     """
     result, data = model_and_recording(job, name, model, recording)
-    return validate.cross_validate(result, data, left_out_of(job, name, data))
+    return validate.cross_validate(result, data, left_out_of(job.experiment, name, data))
 
 
 def model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[identify.FitResult, Recording]:
@@ -104,7 +104,7 @@ def model_and_recording(job: Job, name: str, model: str, recording: str) -> tupl
 
 def residuals_on(job: Job, name: str, result: identify.FitResult, data: Recording) -> validate.ResidualTest:
     """Return the residual tests of a loaded model on a loaded recording."""
-    return validate.check_residuals(result, data, left_out=left_out_of(job, name, data))
+    return validate.check_residuals(result, data, left_out=left_out_of(job.experiment, name, data))
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
@@ -301,7 +301,7 @@ class FitPairs:
                 test = self._residuals == "pairs" or (self._residuals == "models" and pair in tested)
                 try:
                     data = data or load_fit_input(self._job, self._job.experiment.recordings[recording])
-                    left_out = left_out_of(self._job, self._name, data)
+                    left_out = left_out_of(self._job.experiment, self._name, data)
                     validation = validation or validation_data(self._model(pair[0])[1], data, left_out)
                     rows[pair] = self._rows(pair[0], data, validation, test)
                 except DataError as error:

@@ -400,9 +400,7 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
         if isinstance(state, Mapping)
         else state,
         "left_out": {
-            recording.name: [samples_of(recording, *stretch) for stretch in section.left_out[recording.name]]
-            for recording in data
-            if recording.name in section.left_out
+            recording.name: stretches for recording in data if (stretches := left_out_of(experiment, name, recording))
         },
     }
 
@@ -426,7 +424,7 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
     return first, stop
 
 
-def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
+def left_out_of(experiment: Experiment, name: str, data: Recording) -> list[tuple[int, int]]:
     """Return the samples of a recording that the experiment leaves out of a fit, as (first, stop) pairs.
 
     Raises
@@ -434,7 +432,7 @@ def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
     DataError
         When a stretch lies beyond the end of the recording.
     """
-    return [samples_of(data, *stretch) for stretch in job.experiment.spec.fits[name].left_out.get(data.name, ())]
+    return [samples_of(data, *stretch) for stretch in experiment.spec.fits[name].left_out.get(data.name, ())]
 
 
 @asked_once()
@@ -503,7 +501,7 @@ def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Re
                 f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
                 f"{rec.units.get(line.output.rpartition('_')[0], '')} rms at {line.frequency_hz:.1f} Hz, "
                 f"order {line.order} of the shaft; {removed}"
-                for line in validate.shaft_lines(result, rec, left_out_of(job, name, rec))
+                for line in validate.shaft_lines(result, rec, left_out_of(job.experiment, name, rec))
             ]
     return notes
 
