@@ -262,32 +262,23 @@ def as_estimates(
     """
     if isinstance(fits, Estimates):
         return _finite(fits, np.ones(len(fits.recordings), dtype=bool))
-    if isinstance(fits, Sequence):
-        return _of_results(fits, points, parameters, scheduling)
-    if points is not None:
-        raise UsageError("points: a table of fits contains its operating points; leave points out")
-    kinds = list(dict.fromkeys(fits.fit.tolist()))
-    if len(kinds) > 1:
-        raise UsageError(f"the table holds the fits {', '.join(kinds)}; choose one: table.select(fit=...)")
-    missing = [key for key in KEY_PARAMETERS if key not in fits.parameter_names]
-    if missing:
-        raise UsageError(f"the table of fits has no {', '.join(missing)}; the surfaces need all key parameters")
-    columns = [fits.parameter_names.index(key) for key in KEY_PARAMETERS]
-    estimates = Estimates(
-        tuple(" + ".join(names) for names in fits.recordings),
-        np.stack([fits.pressure_bar, fits.speed_rpm], axis=-1),
-        fits.values[:, columns],
-        fits.covariance_of(KEY_PARAMETERS),
-    )
-    return _finite(estimates, fits.success)
-
-
-def _of_results(
-    fits: Sequence[FitResult],
-    points: Sequence[Sequence[float]] | Sequence[float] | None,
-    parameters: tuple[str, ...],
-    scheduling: tuple[str, ...],
-) -> Estimates:
+    if isinstance(fits, FitTable):
+        if points is not None:
+            raise UsageError("points: a table of fits contains its operating points; leave points out")
+        kinds = list(dict.fromkeys(fits.fit.tolist()))
+        if len(kinds) > 1:
+            raise UsageError(f"the table holds the fits {', '.join(kinds)}; choose one: table.select(fit=...)")
+        missing = [key for key in KEY_PARAMETERS if key not in fits.parameter_names]
+        if missing:
+            raise UsageError(f"the table of fits has no {', '.join(missing)}; the surfaces need all key parameters")
+        columns = [fits.parameter_names.index(key) for key in KEY_PARAMETERS]
+        estimates = Estimates(
+            tuple(" + ".join(names) for names in fits.recordings),
+            np.stack([fits.pressure_bar, fits.speed_rpm], axis=-1),
+            fits.values[:, columns],
+            fits.covariance_of(KEY_PARAMETERS),
+        )
+        return _finite(estimates, fits.success)
     what = f"({', '.join(scheduling)})"
     if points is None or len(points) != len(fits):
         given = "none" if points is None else str(len(points))

@@ -194,7 +194,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
     if model is not None:
         impact = designs[0].impact if designs else HalfSine().on(model.machine)
         shown = [(design.name, design.structure, design.figures.gains) for design in designs]
-        blocks.append(explorer_part(model, words, model.operating_points, shown, impact))
+        blocks.append(explorer_part(model, words, shown, impact))
     return PageSection("controller", TITLE, blocks)
 
 
@@ -298,7 +298,6 @@ def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
 def explorer_part(
     model: LPVModel,
     words: str,
-    points: Sequence[tuple[float, float]],
     designs: Sequence[tuple[str, Any, Mapping[str, float]]],
     impact: HalfSine,
 ) -> Templated:
@@ -307,11 +306,9 @@ def explorer_part(
     Parameters
     ----------
     model : LPVModel
-        Model with actuators.
+        Model with actuators. The explorer starts at its operating point nearest to the middle of the domain.
     words : str
         Description of the model.
-    points : sequence of (pressure_bar, speed_rpm)
-        Operating points [bar], [rpm]. The explorer starts at the one nearest to the middle of the domain.
     designs : sequence of (name, structure, gains)
         Designs. P controllers with a first-order low-pass become buttons; the explorer starts with the last of them.
     impact : HalfSine
@@ -329,7 +326,7 @@ def explorer_part(
         parts = zip(point, middle, ranges, strict=True)
         return sum(abs(value - centre) / (high - low or 1) for value, centre, (low, high) in parts)
 
-    start = min(points, key=far, default=middle)
+    start = min(model.operating_points, key=far, default=middle)
     gain_x, gain_y, lowpass = buttons[-1][1]
     controls = [
         ("pressure", "Injection pressure", "bar", *pressures, 0.05, start[0]),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import partial
 from itertools import count
 from typing import Any
 
@@ -334,9 +333,10 @@ def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> Flo
     low, high = np.array([domain.pressure_bar, domain.speed_rpm]).T
     score, x = solution.best.score, solution.best.x
 
-    def measured(points: FloatArray, which: int | slice = slice(None)) -> FloatArray:
-        return np.asarray(measure(solution.problem, x, plants, np.clip(points, low, high))[which])
+    def measured(points: FloatArray) -> FloatArray:
+        return measure(solution.problem, x, plants, np.clip(points, low, high))
 
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     tables = measured(grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
     worse: list[FloatArray] = []
     for which, table in enumerate(tables):
@@ -347,7 +347,13 @@ def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> Flo
             top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
         places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
         for place in places:
-            point, value = _zoom(partial(measured, which=which), grid[place], step)
+            point, value, reach = grid[place], -np.inf, step
+            for _ in range(5):  # grids that shrink around the best point
+                near = point + offsets * reach
+                values = measured(near)[which]
+                if values.max() > value:
+                    point, value = near[values.argmax()], float(values.max())
+                reach = reach / 3
             if value > allowed + TOLERANCE:
                 worse.append(np.clip(point, low, high))
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
@@ -360,21 +366,6 @@ def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatAr
         values = problem.by_loop(plants.family(block), x)
         parts.append(values.reshape(len(values), -1, len(block)).max(axis=1))
     return np.concatenate(parts, axis=1)
-
-
-def _zoom(
-    measured: Callable[[FloatArray], FloatArray], point: FloatArray, step: FloatArray
-) -> tuple[FloatArray, float]:
-    """Return place and height of the largest value near a point, by grids that shrink around the best."""
-    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    top = -np.inf
-    for _ in range(5):
-        points = point + offsets * step
-        values = measured(points)
-        if values.max() > top:
-            point, top = points[values.argmax()], float(values.max())
-        step = step / 3
-    return point, top
 
 
 # ---- Gains with the largest damping, for any closed-loop matrices that depend on gains.
