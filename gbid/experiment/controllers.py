@@ -313,12 +313,11 @@ def design_result(
         "text": _structure_text(experiment, section.structure),
         "sampled_at": sample_time(experiment, section),
         "published": published_design(experiment, section),
-        "model": stored_key(surfaces)
-        if surfaces is not None
-        else section.model
-        if is_fitted(experiment, section)
-        else named_model(experiment, section),
     }
+    if surfaces is not None:
+        settings["model"] = stored_key(surfaces)
+    elif not is_fitted(experiment, section):
+        settings["model"] = named_model(experiment, section)
     return experiment.result("tune", name, experiment.path(TUNED, name), settings, sources)
 
 
