@@ -20,18 +20,15 @@ from .impact_pictures import (
 )
 from .loop_pictures import (
     DampingMap as DampingMap,
-    Eigenvalues as Eigenvalues,
     MagnitudeCurves as MagnitudeCurves,
     ParetoCurves as ParetoCurves,
     RootLocus as RootLocus,
     bode_curves as bode_curves,
     damping_map_data as damping_map_data,
     designs_pareto_data as designs_pareto_data,
-    eigenvalues_data as eigenvalues_data,
     pareto_data as pareto_data,
     plot_cycle as plot_cycle,
     plot_damping_map as plot_damping_map,
-    plot_eigenvalues as plot_eigenvalues,
     plot_magnitudes as plot_magnitudes,
     plot_pareto as plot_pareto,
     plot_robustness_price as plot_robustness_price,
@@ -83,12 +80,10 @@ from .pictures import (
 from .surface_pictures import (
     PressurePanel as PressurePanel,
     Surface as Surface,
-    delays_data as delays_data,
     fit_over_pressure_data as fit_over_pressure_data,
     fit_surfaces_data as fit_surfaces_data,
-    modes_data as modes_data,
+    over_pressure_data as over_pressure_data,
     plot_over_pressure as plot_over_pressure,
     plot_surfaces as plot_surfaces,
-    static_gains_data as static_gains_data,
     surfaces_data as surfaces_data,
 )

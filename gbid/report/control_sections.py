@@ -49,7 +49,7 @@ from gbid.report.loop_pictures import (
 )
 from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Templated, Words
 from gbid.report.read import NO_IMPACT, AssessedDesign, Results, conditions_words, place_of
-from gbid.report.surface_pictures import modes_data, plot_over_pressure, plot_surfaces, surfaces_data
+from gbid.report.surface_pictures import over_pressure_data, plot_over_pressure, plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
 # ---- Pictures of a design at its worst operating point: root locus, damping map, sensitivities, impact responses.
@@ -446,12 +446,13 @@ def _drawn(pictures: Pictures, fit: LPVFit, document: Row) -> list[Block]:
         blocks.append(shown if i == 0 else Fold(f"{item}: {word}", [shown]))
     for what, word in _MODES.items():
         try:
-            panels = modes_data(fit.model, what, speeds_rpm=np.unique(np.linspace(*fit.model.domain.speed_rpm, 3)))
+            speeds = np.unique(np.linspace(*fit.model.domain.speed_rpm, 3))
+            panels = over_pressure_data(fit.model, what, speeds_rpm=speeds)
         except GbidError as error:  # surfaces without physical meaning at some point
             blocks.append(Words(f"{item}: {word} cannot be drawn: {error}", "warn"))
             continue
-        speeds = ", ".join(f"{speed:g}" for speed in panels[0].speed_rpm)
-        alt = f"{item}: {word} of the two modes of the open loop over pressure, at {speeds} rpm"
+        where = ", ".join(f"{speed:g}" for speed in speeds)
+        alt = f"{item}: {word} of the two modes of the open loop over pressure, at {where} rpm"
         blocks.append(Fold(f"{item}: {word}", [Shown(pictures.picture(plot_over_pressure(panels), alt))]))
     coefficients = [
         (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(values, document["coefficients_std"][key], strict=True)))

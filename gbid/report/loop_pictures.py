@@ -167,70 +167,7 @@ def _damping_curve(panel: Axes, data: DampingMap, *, over_speed: bool) -> None:
     panel.set_title(", ".join(filter(None, (data.title, fixed))), loc="left", pad=6)
 
 
-# ---- Poles: eigenvalue map, and root locus over a factor on the gains.
-
-
-@dataclass(frozen=True, eq=False)
-class Eigenvalues(Brief):
-    """Poles of several models.
-
-    Attributes
-    ----------
-    poles : dict of str to (n,) complex array
-        Poles by label [rad/s].
-    title : str
-        Title of the figure.
-    """
-
-    poles: Mapping[str, ComplexArray]
-    title: str = ""
-
-
-def eigenvalues_data(models: Mapping[str, LinearModel], title: str = "") -> Eigenvalues:
-    """Return the poles of models.
-
-    Parameters
-    ----------
-    models : dict of str to LinearModel
-        Models by label.
-    title : str
-        Title of the figure.
-
-    Returns
-    -------
-    Eigenvalues
-        Poles by label.
-    """
-    return Eigenvalues({label: model.poles() for label, model in models.items()}, title)
-
-
-@styled
-def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Axes:
-    """Draw poles in the upper half plane, with rays of equal damping.
-
-    Parameters
-    ----------
-    data : Eigenvalues
-        Data of the figure.
-    ax : matplotlib Axes, optional
-        Axes to draw into; a new figure when left out.
-    largest_hz : float
-        Largest distance from zero of the poles shown [Hz].
-
-    Returns
-    -------
-    matplotlib Axes
-        The axes; ``axes.figure`` is the figure.
-    """
-    figure, panel = one_panel(ax, (4.6, 3.6))
-    for k, (label, poles) in enumerate(data.poles.items()):
-        near = _hertz(poles)
-        near = near[(np.abs(near) <= largest_hz) & (near.imag >= -1e-9)]
-        look = series(k, linestyle="none", markersize=5, markerfacecolor="none", markeredgewidth=1.1)
-        panel.plot(near.real, near.imag, label=label, **look)
-    _finish_plane(panel, largest_hz)
-    legend_above(figure, panel, columns=4, title=data.title)
-    return panel
+# ---- Root locus: poles over a factor on the gains.
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +238,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
         The axes; ``axes.figure`` is the figure.
     """
     figure, panel = one_panel(ax, (5.2, 3.6))
-    poles = _hertz(data.poles)
+    poles = np.asarray(data.poles / (2 * np.pi), np.complex128)
     shown = (np.abs(poles) <= largest_hz) & (poles.imag >= -1e-9)
     factor = np.broadcast_to(data.factor[:, None], poles.shape)
     cloud = panel.scatter(poles.real[shown], poles.imag[shown], s=5, c=factor[shown], cmap="viridis", linewidths=0)
@@ -315,10 +252,6 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
     panel.legend(loc="lower left", title="factor", title_fontsize=8)
     panel.set_title(data.title, loc="left", pad=6)
     return panel
-
-
-def _hertz(poles: ComplexArray) -> ComplexArray:
-    return np.asarray(poles / (2 * np.pi), np.complex128)
 
 
 def _finish_plane(ax: Any, largest_hz: float) -> None:

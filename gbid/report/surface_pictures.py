@@ -38,7 +38,6 @@ from gbid.structure.built_in import PAIRS
 
 Estimates = Mapping[str, npt.ArrayLike]
 Quantity = Literal["delay", "frequency", "damping", "gain"]
-_Speeds = Sequence[float] | FloatArray
 _QUANTITIES: Mapping[Quantity, Mapping[str, tuple[str, str]]] = {
     "delay": {f"tau_{axis}": (f"tau_{axis}", f"$\\tau_{axis}$ [samples at {{:g}} kHz]") for axis in "xy"},
     "frequency": {f"frequency_{i}": (f"omega_{i}", f"natural frequency $\\omega_{i}$ [Hz]") for i in (1, 2)},
@@ -79,99 +78,61 @@ class PressurePanel(Brief):
     estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-def delays_data(
+def over_pressure_data(
     model: LPVModel,
+    what: Quantity,
     *,
+    speeds_rpm: Sequence[float] | FloatArray = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
     sample_time: float = 2e-4,
-    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
-    points: npt.ArrayLike | None = None,
-    estimates: Estimates | None = None,
 ) -> list[PressurePanel]:
-    """Return the delays in samples (Figs. 14, 15).
+    """Return delays, natural frequencies, damping factors or static gains over pressure (Figs. 14 to 18).
 
     Parameters
     ----------
     model : LPVModel
         LPV model.
+    what : {"delay", "frequency", "damping", "gain"}
+        Quantity: delays [samples], natural frequencies [Hz] and damping factors of the two modes of the shaft in
+        ascending order of frequency, or static gains from u to p [m/m].
+    speeds_rpm : sequence of float
+        Speeds [rpm].
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        Estimates by name: ``tau_x``, ``tau_y`` [s]; ``frequency_1``, ``frequency_2`` [Hz]; ``damping_1``,
+        ``damping_2``; ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
     sample_time : float
-        Sample time of the recordings [s].
-    speeds_rpm : sequence of float
-        Speeds [rpm].
-    points : (n_points, 2) array, optional
-        Pressure [bar] and speed [rpm] of the estimates.
-    estimates : dict of str to (n_points,) array, optional
-        Estimates of ``tau_x``, ``tau_y`` [s].
+        Unit of the delays: sample time of the recordings [s].
 
     Returns
     -------
     list of PressurePanel
-        Panels of ``tau_x`` and ``tau_y`` [samples].
-    """
-    return _panels("delay", model, speeds_rpm, points, estimates, sample_time)
-
-
-def modes_data(
-    model: LPVModel,
-    what: Literal["frequency", "damping"] = "frequency",
-    *,
-    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
-    points: npt.ArrayLike | None = None,
-    estimates: Estimates | None = None,
-) -> list[PressurePanel]:
-    """Return natural frequencies or damping factors of the two modes of the shaft (Figs. 16, 17).
-
-    Parameters
-    ----------
-    model : LPVModel
-        LPV model.
-    what : {"frequency", "damping"}
-        Quantity.
-    speeds_rpm : sequence of float
-        Speeds [rpm].
-    points : (n_points, 2) array, optional
-        Pressure [bar] and speed [rpm] of the estimates.
-    estimates : dict of str to (n_points,) array, optional
-        Estimates of ``frequency_1``, ``frequency_2`` [Hz], or of ``damping_1``, ``damping_2``.
-
-    Returns
-    -------
-    list of PressurePanel
-        Panel of each mode, in ascending order of frequency.
+        Panel of each delay, mode or gain.
 
     Raises
     ------
     UsageError
         When the model has fewer than two modes at a point.
     """
-    return _panels(what, model, speeds_rpm, points, estimates)
-
-
-def static_gains_data(
-    model: LPVModel,
-    *,
-    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
-    points: npt.ArrayLike | None = None,
-    estimates: Estimates | None = None,
-) -> list[PressurePanel]:
-    """Return the static gains from u to p (Fig. 18).
-
-    Parameters
-    ----------
-    model : LPVModel
-        LPV model.
-    speeds_rpm : sequence of float
-        Speeds [rpm].
-    points : (n_points, 2) array, optional
-        Pressure [bar] and speed [rpm] of the estimates.
-    estimates : dict of str to (n_points,) array, optional
-        Estimates of ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
-
-    Returns
-    -------
-    list of PressurePanel
-        Panel of each gain.
-    """
-    return _panels("gain", model, speeds_rpm, points, estimates)
+    unit = sample_time if what == "delay" else 1.0
+    pressure, speeds = np.linspace(*model.domain.pressure_bar, 25), np.asarray(speeds_rpm, float)
+    at = [np.ravel(values) for values in np.meshgrid(pressure, speeds)]
+    keys = model.key_parameters(*at)
+    curves = dict(
+        zip(CHARACTERISTICS, characteristics(np.column_stack([keys[k] for k in KEY_PARAMETERS])).T, strict=True)
+    )
+    panels_of_quantity = []
+    for name, (characteristic, label) in _QUANTITIES[what].items():
+        values = curves[characteristic] / unit
+        if np.isnan(values).any():
+            point = point_label(*(column[np.isnan(values)][0] for column in at))
+            raise UsageError(f"{model.name} at {point} does not have two modes; two are drawn")
+        where, marks = _marked(name, points, estimates)
+        shown = values.reshape(len(speeds), -1), where, marks / unit
+        panels_of_quantity.append(PressurePanel(name, label.format(1e-3 / unit), pressure, speeds, *shown))
+    return panels_of_quantity
 
 
 @styled
@@ -181,7 +142,7 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
     Parameters
     ----------
     data : sequence of PressurePanel
-        Panels of `delays_data`, `modes_data` or `static_gains_data`.
+        Panels of `over_pressure_data`.
     ax : sequence of matplotlib Axes, optional
         Axes for each panel; a new figure when left out.
 
@@ -208,33 +169,6 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
         letter(axes[: len(data)])
     legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
     return axes[: len(data)]
-
-
-def _panels(
-    what: Quantity,
-    model: LPVModel,
-    speeds_rpm: _Speeds,
-    points: npt.ArrayLike | None,
-    estimates: Estimates | None,
-    unit: float = 1.0,
-) -> list[PressurePanel]:
-    """Return the panels of a quantity, in units of `unit`."""
-    pressure, speeds = np.linspace(*model.domain.pressure_bar, 25), np.asarray(speeds_rpm, float)
-    at = [np.ravel(values) for values in np.meshgrid(pressure, speeds)]
-    keys = model.key_parameters(*at)
-    curves = dict(
-        zip(CHARACTERISTICS, characteristics(np.column_stack([keys[k] for k in KEY_PARAMETERS])).T, strict=True)
-    )
-    panels_of_quantity = []
-    for name, (characteristic, label) in _QUANTITIES[what].items():
-        values = curves[characteristic] / unit
-        if np.isnan(values).any():
-            point = point_label(*(column[np.isnan(values)][0] for column in at))
-            raise UsageError(f"{model.name} at {point} does not have two modes; two are drawn")
-        where, marks = _marked(name, points, estimates)
-        shown = values.reshape(len(speeds), -1), where, marks / unit
-        panels_of_quantity.append(PressurePanel(name, label.format(1e-3 / unit), pressure, speeds, *shown))
-    return panels_of_quantity
 
 
 def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None) -> tuple[FloatArray, FloatArray]:
@@ -265,8 +199,10 @@ def fit_over_pressure_data(fit: LPVFit, what: Quantity, *, sample_time: float = 
     """
     values = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
     estimates = {name: values[characteristic] for name, (characteristic, _) in _QUANTITIES[what].items()}
-    points = fit.estimates.points
-    return _panels(what, fit.model, np.unique(points[:, 1]), points, estimates, sample_time if what == "delay" else 1.0)
+    points, speeds = fit.estimates.points, np.unique(fit.estimates.points[:, 1])
+    return over_pressure_data(
+        fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates, sample_time=sample_time
+    )
 
 
 def _plot_quantity(what: Quantity, results: Results, only: str = "") -> npt.NDArray[np.object_]:

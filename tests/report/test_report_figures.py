@@ -104,7 +104,7 @@ def test_diagrams_draw_into_axes_of_ones_own_and_leave_settings_alone(name):
 
 
 def test_too_few_axes_are_refused():
-    data = report.modes_data(machine())
+    data = report.over_pressure_data(machine(), "frequency")
     with pytest.raises(UsageError, match="1 axes for 2 panels; give one for each"):
         report.plot_over_pressure(data, [Figure().subplots()])
     figure = Figure()
@@ -159,15 +159,15 @@ def test_surface_values_and_stems_are_the_models():
 def test_curves_over_pressure_are_the_papers_at_6_bar():
     """Table 3: 126.6 and 132.1 Hz, 0.035 and 0.029 at 6 bar, 0 rpm; delays by hand from the coefficients."""
     for what, expected in (("frequency", (126.590, 132.110)), ("damping", (0.03523, 0.02914))):
-        for panel, value in zip(report.modes_data(machine(), what, speeds_rpm=(0.0,)), expected, strict=True):
+        for panel, value in zip(report.over_pressure_data(machine(), what, speeds_rpm=(0.0,)), expected, strict=True):
             k = int(np.argmin(np.abs(panel.pressure_bar - 6.0)))
             assert panel.pressure_bar[k] == pytest.approx(6.0)
             assert panel.values[0, k] == pytest.approx(value, rel=1e-4)
     c = machine().coefficients["tau_y"]
-    panel = report.delays_data(machine(), speeds_rpm=(6000.0,))[1]
+    panel = report.over_pressure_data(machine(), "delay", speeds_rpm=(6000.0,))[1]
     expected = c[0] + c[1] * 3 + c[2] * 6000 + c[3] * 18000 + c[4] * 9 + c[5] * 3.6e7
     assert panel.values[0, 0] == pytest.approx(expected / 2e-4, rel=1e-10)
-    gains = report.static_gains_data(machine(), speeds_rpm=(4000.0,))
+    gains = report.over_pressure_data(machine(), "gain", speeds_rpm=(4000.0,))
     model = machine().at(3.0, 4000.0)
     np.testing.assert_allclose(
         [p.values[0, 0] for p in gains], model.frequency_response([0.0])[0].real.ravel(), rtol=1e-9

@@ -47,14 +47,16 @@ def surfaces():
 def delays():
     points = grid_points()
     result = estimates(("tau_x", "tau_y"), points)
-    return report.plot_over_pressure(report.delays_data(machine(), points=points, estimates=result))
+    return report.plot_over_pressure(report.over_pressure_data(machine(), "delay", points=points, estimates=result))
 
 
 def modes():
     points, random = grid_points(), np.random.default_rng(2)
     true = np.array([[frequency for frequency, _ in machine().at(*point).modes()[:2]] for point in points])
     results = {f"frequency_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
-    return report.plot_over_pressure(report.modes_data(machine(), points=points, estimates=results))
+    return report.plot_over_pressure(
+        report.over_pressure_data(machine(), "frequency", points=points, estimates=results)
+    )
 
 
 def static_gains():
@@ -62,7 +64,7 @@ def static_gains():
     true = np.array([machine().at(*point).static_gain().ravel() for point in points])
     names = [f"g_{i}{j}" for i in "xy" for j in "xy"]
     results = {name: true[:, k] + 0.005 * random.standard_normal(len(points)) for k, name in enumerate(names)}
-    return report.plot_over_pressure(report.static_gains_data(machine(), points=points, estimates=results))
+    return report.plot_over_pressure(report.over_pressure_data(machine(), "gain", points=points, estimates=results))
 
 
 def histograms():
@@ -169,12 +171,6 @@ def damping_map():
     )
 
 
-def eigenvalues():
-    plant, controller = loop()
-    closed = gbid.close_loop(plant, controller)
-    return report.plot_eigenvalues(report.eigenvalues_data({"open loop": plant, "closed loop": closed}, title=POINT))
-
-
 def root_locus():
     plant = loop()[0]
 
@@ -244,7 +240,7 @@ FIGURES = {
     case.__name__: case
     for case in (
         surfaces, delays, modes, static_gains, histograms, actuators, static_map, sensitivity, impact, impact_loops,
-        hysteresis, staircase, pareto, damping_map, eigenvalues, root_locus, bode_diagram, bode_of_four, measured_alone,
+        hysteresis, staircase, pareto, damping_map, root_locus, bode_diagram, bode_of_four, measured_alone,
         poles, steps, impulses, campbell, orbit, iso_zones, recorded,
     )
 }  # fmt: skip
