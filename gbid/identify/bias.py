@@ -81,6 +81,7 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     other, starts, box = posed
     other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
     x, cost, gain = np.clip(other.pack(theta, starts), *box), given.at(unknowns).cost, np.nan
+    given.release()
     try:
         for _ in range(2 if exact else 1):  # the filters are further away
             iterate, before = other.at(x), x
@@ -119,7 +120,7 @@ def _posed_anew(
     walking = len(problem.assembly.parts[0].predictor.disturbances.walking)
     kept = [*states, *range(given.n_states - walking, given.n_states)]
     parts = [
-        replace(part, blocks=replace(part.blocks, used=weighted.blocks.used))
+        replace(part, blocks=part.blocks.with_samples_of(weighted.blocks))
         for part, weighted in zip(assembly.parts, given.parts, strict=True)
     ]
     shooting = replace(given, parts=tuple(parts), links=assembly.links, state_scale=given.state_scale[kept])
@@ -330,9 +331,14 @@ def bias_of(optimum: Optimum, errors: Sequence[FloatArray], std: FloatArray, *, 
     other = other_hold(optimum, white=white)
     others = None
     if other is not None and np.isfinite(other.moved).all():
-        made = other.shooting.errors(other.shooting.values(other.theta), other.starts)
+        others = other.shooting.by_record(
+            other.shooting.errors(other.shooting.values(other.theta), other.starts),
+            optimum.problem.assembly.record_window,
+        )
+        other.shooting.release()
         noisy = np.any([e.any(axis=0) for e in errors], axis=0)
-        others = [e * noisy for e in other.shooting.by_record(made, optimum.problem.assembly.record_window)]
+        for e in others:
+            e *= noisy
     notes = left_out_notes(optimum, errors, others, white=white)
     left_out = any(FitNote.LEFT_OUT.value in note for note in notes)
     if other is None:

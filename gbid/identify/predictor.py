@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Never
 
@@ -96,32 +96,33 @@ class GeneralPredictor(ABC):
         record an input is constant at its first sample. After it the input is constant at its last sample, without
         effect.
         """
-        return np.hstack(self.regressor_columns(inputs, outputs, shift, time))
+        return next(self.regressor_rows(inputs, outputs, shift, [(0, len(inputs))], time))
 
-    def regressor_columns(
-        self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...], time: FloatArray | None = None
-    ) -> list[FloatArray]:
-        """Return the columns of `regressors`, (n_samples, 1) or more each; those of inputs are views of one array."""
+    def regressor_rows(
+        self,
+        inputs: FloatArray,
+        outputs: FloatArray,
+        shift: tuple[int, ...],
+        edges: Iterable[tuple[int, int]],
+        time: FloatArray | None = None,
+    ) -> Iterator[FloatArray]:
+        """Yield the rows of `regressors` from a first to before a last one, for each pair of these."""
         n, before = len(inputs), max(shift, default=-1) + 1
-        padded = np.concatenate([np.repeat(inputs[:1], before, axis=0), inputs, inputs[-1:]])
-
-        def lagged(i: int, lag: int) -> FloatArray:
-            return padded[before - lag : before - lag + n, i : i + 1]
-
-        columns = [] if time is None else [self._interval_column(time)]
-        columns += [lagged(i, 0) for i in self.prompt]
-        columns += [lagged(i, -1) for i in self._lead]
+        lagged = [*((i, 0) for i in self.prompt), *((i, -1) for i in self._lead)]
         for i, d in zip(self.delayed, shift, strict=True):
-            first = d - 1 if self.holds[i] == "foh" else d
-            columns += [lagged(i, lag) for lag in range(first, d + 2)]
+            lagged += [(i, lag) for lag in range(d - 1 if self.holds[i] == "foh" else d, d + 2)]
+        interval, others = [] if time is None else [self._interval_column(time)], []
         if self.disturbances.n_columns:
             even = np.asarray(self.sample_time * np.arange(n), np.float64)
-            columns.append(self.disturbances.regressors(even if time is None else time))
+            others.append(self.disturbances.regressors(even if time is None else time))
         if self._has_impulse:
-            columns.append(np.eye(n, 1))
+            others.append(np.eye(n, 1))
         if self.feeds_back:
-            columns.append(outputs)
-        return columns
+            others.append(outputs)
+        for first, stop in edges:
+            near = inputs[np.clip(np.arange(first - before, stop + 1), 0, n - 1)]
+            columns = [near[before - lag :, i : i + 1][: stop - first] for i, lag in lagged]
+            yield np.hstack([*(e[first:stop] for e in interval), *columns, *(e[first:stop] for e in others)])
 
     @abstractmethod
     def _interval_column(self, time: FloatArray) -> FloatArray:

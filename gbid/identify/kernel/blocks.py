@@ -202,15 +202,23 @@ class Blocks:
             self._regressors[shift] = in_groups(self._rows(shift), self.length, len(self.y))
         return self._regressors[shift]
 
+    def release(self) -> None:
+        """Free the memory of the regressors, the largest of a fit; they are made anew when they are needed again."""
+        self._regressors.clear()
+
     def _rows(self, shift: tuple[int, ...]) -> Iterator[FloatArray]:
         """Yield the regressors of some blocks after the other, in memory that is soon used again."""
         count = max(1, _AT_ONCE // self.length) * self.length
         for p in self.segments:
-            columns = self.predictor.regressor_columns(p.inputs, p.measured, shift, p.time)
-            columns += [] if p.gains is None else [p.gains.columns]
             stop = len(p.inputs) if p.stop is None else p.stop
-            for first in range(p.start, stop, count):
-                yield np.hstack([column[first : min(first + count, stop)] for column in columns])
+            edges = [(first, min(first + count, stop)) for first in range(p.start, stop, count)]
+            rows = self.predictor.regressor_rows(p.inputs, p.measured, shift, edges, p.time)
+            for made, (first, end) in zip(rows, edges, strict=True):
+                yield made if p.gains is None else np.hstack([made, p.gains.columns[first:end]])
+
+    def with_samples_of(self, other: Blocks) -> Blocks:
+        """Return the blocks with the weights of others of the same records, and with their outputs without a copy."""
+        return replace(self, used=other.used, y=self.y if self.gains else other.y)
 
     def by_whole_segments(self) -> Blocks:
         """Return the blocks with each segment as one window."""
@@ -312,8 +320,10 @@ def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
 
 def _use(segments: Sequence[Segment], length: int, n_groups: int) -> FloatArray:
     """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
+    counts = (_of_samples(segment, segment.counts) for segment in segments)
     rows = (
-        _of_samples(segment, segment.counts) * np.sqrt(_of_samples(segment, segment.weights)) for segment in segments
+        used if segment.weights is None else used * np.sqrt(_of_samples(segment, segment.weights))
+        for segment, used in zip(segments, counts, strict=True)
     )
     return in_groups(rows, length, n_groups)[:, :, 0]
 

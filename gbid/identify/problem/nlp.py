@@ -430,6 +430,11 @@ class Shooting:
         records = [[by_window[window] for window in chain if window in by_window] for chain in chains]
         return [np.concatenate(pieces) if len(pieces) > 1 else pieces[0] for pieces in records]
 
+    def release(self) -> None:
+        """Free the memory of the regressors; see `Blocks.release`."""
+        for part in self.parts:
+            part.blocks.release()
+
     def each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
         """Return the predictor of each part, the part, and the starts of its windows."""
         return zip(values, self.parts, self.by_part(starts), strict=True)
