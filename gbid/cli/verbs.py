@@ -30,7 +30,7 @@ def fit(
     options: CommonOptions,
     only: Annotated[str | None, typer.Option("--only", metavar="FIT", help="Run this one of the fits.")] = None,
     one: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option("--one", metavar="ITEM", help="Make one file, as FIT/RECORDING, with what it needs; for jobs."),
     ] = None,
     items: Annotated[bool, typer.Option("--list", help="Run nothing; list the items for --one, with files.")] = False,
@@ -41,8 +41,10 @@ def fit(
 
     if (only is not None) + (one is not None) + items > 1:
         raise UsageError("--only, --one and --list exclude each other; give one of them")
+    if one is not None and len(one) > 1:
+        raise UsageError(f"--one is one fit, here are {len(one)}; give each a command of its own")
     if one is not None:
-        run_one(experiment, options, one)
+        run_one(experiment, options, one[0])
     elif items:
         list_items(experiment, options)
     else:

@@ -199,7 +199,7 @@ def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[s
     named = [signal for signal in recording.signals if signal != "phi"]
     signals = {
         signal: [
-            (channel, float(column.std()), float(abs(column - column.mean()).max()))
+            (channel, float(np.nanstd(column)), float(np.nanmax(abs(column - np.nanmean(column)))))
             for channel, column in zip(recording.channels[signal], recording.signals[signal].T, strict=True)
         ]
         for signal in named

@@ -471,7 +471,7 @@ def turning_increments(rec: Recording) -> FloatArray | None:
     return np.asarray(np.mod(steps + np.pi, _TURN) - np.pi)
 
 
-def _runs(at: BoolArray) -> list[tuple[int, int]]:
+def runs(at: BoolArray) -> list[tuple[int, int]]:
     """Return the first index of each run of true entries, and the one after its last."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
@@ -479,8 +479,8 @@ def _runs(at: BoolArray) -> list[tuple[int, int]]:
 
 def _long_runs(at: BoolArray, least: int) -> FloatArray:
     """Return the indices of the true entries in runs of at least a given length that touch neither end."""
-    runs = [np.arange(a, b) for a, b in _runs(at) if b - a >= least and a > 0 and b < len(at)]
-    return np.concatenate(runs) if runs else np.zeros(0, int)
+    long = [np.arange(a, b) for a, b in runs(at) if b - a >= least and a > 0 and b < len(at)]
+    return np.concatenate(long) if long else np.zeros(0, int)
 
 
 # ---- Check of the speed over a recording: a run-up, a coast-down, a speed that changes.
@@ -559,7 +559,7 @@ def speed_change(rec: Recording) -> SpeedChange | None:
     change = SpeedChange(float(off.mean()), float(speeds[off].min()), float(speeds[off].max()), steady=False)
     if off.all():
         return change
-    first, last = max(_runs(~off), key=lambda run: run[1] - run[0])
+    first, last = max(runs(~off), key=lambda run: run[1] - run[0])
     spare = max(seconds, MARGIN * seconds * max(first, count - last))
     from_s = float(first * seconds + spare) if first else None
     to_s = float(last * seconds - spare) if last < count else None
@@ -684,7 +684,7 @@ def _stays(column: FloatArray) -> dict[float, int]:
         return {}
     stays = {}
     for extreme, neighbour in ((0, 1), (-1, -2)):
-        stay = sum(b - a for a, b in _runs(column == levels[extreme]) if b - a >= MIN_RUN)
+        stay = sum(b - a for a, b in runs(column == levels[extreme]) if b - a >= MIN_RUN)
         if stay and counts[extreme] > PILE * counts[neighbour]:
             stays[float(levels[extreme])] = stay
     return stays if sum(stays.values()) > MAX_STAY * len(column) else {}

@@ -23,6 +23,7 @@ from gbid.experiment.stages.loop import made_costs
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
+    assessment_tables,
     comparison_table,
     cycle_documents,
     cycle_summary,
@@ -143,7 +144,10 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     if not tuned:
         return blocks
     blocks += [Words(f"{name}: {text}", "warn") for name, design in tuned.items() for text in held_back(design)]
-    blocks += design_tables(tuning_documents((), tuned))
+    drawn_over = {design.name for design in results.assessed}
+    documents = tuning_documents((), tuned)
+    blocks += assessment_tables([document for document in documents if document["design"] not in drawn_over])
+    blocks += design_tables(documents)
     if any(design.promises for design in tuned.values()):
         words = "Promised objective of robust designs over the probability; the table above has its numbers"
         blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))

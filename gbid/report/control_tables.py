@@ -230,6 +230,11 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
     documents : sequence of dict
         Documents of `tuning_documents`.
     """
+    return [*assessment_tables(documents), *design_tables(documents)]
+
+
+def assessment_tables(documents: Sequence[Row]) -> list[Table]:
+    """Return the tables of the assessments of `tuning_tables`, one for designs at the same points of the same plant."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for document in documents:
         impact = tuple(document["impact"].items())
@@ -245,7 +250,7 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
         notes = [conditions_words(control.HalfSine(**dict(impact)), sample_time, method)]
         notes += [f"{row['name']} ({row['structure']}): {gains_words(row['gains'])}" for row in shown]
         tables.append(_compared(f"{plant}{where}", worst, notes))
-    return [*tables, *design_tables(documents)]
+    return tables
 
 
 def gains_words(gains: Mapping[str, float]) -> str:

@@ -544,9 +544,8 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
         figure = new_figure(size)
         axes = figure.subplots(n_rows, n_columns, sharex="col", squeeze=False)
         plot_residuals(test, [list(row) for row in axes])
-        figure.supxlabel(
-            "shaded: 99 % of the values if the residuals are white, or independent of the input", fontsize=8
-        )
+        wide = "shaded: 99 % of the values if the residuals are white,", "or independent of the input"
+        figure.supxlabel((" " if n_columns > 2 else "\n").join(wide), fontsize=8)
         figure.suptitle(f"residuals on {plain_label(test.recording)}" if title is None else title, fontsize=10)
     return figure
 

@@ -9,6 +9,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gbid.control import Sensitivities
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import write_csv
@@ -18,8 +20,10 @@ from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
 from gbid.identify import FitResult, Profile, SubspaceOrders, measured_response
+from gbid.identify.data import select
 from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
+from gbid.recording.quality import runs
 from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot
 from gbid.report.measured_pictures import (
     plot_recording,
@@ -164,8 +168,11 @@ def _residuals(job: Job, fit: str, model: str, recording: str) -> Drawn:
 def _bode(job: Job, fit: str, model: str, recording: str) -> Drawn:
     result, data = model_and_recording(job, fit, model, recording)
     options = result.options
-    measured = measured_response(data, options.inputs, options.outputs, intersample=options.intersample)
-    return plot_bode({f"model of {model}": result}, measured=measured)
+    values, names, units = select(data, (*options.inputs, *options.outputs), gaps=True, irregular=True)
+    complete = np.asarray(~np.isnan(values).any(axis=1))
+    first, last = max(runs(complete), key=lambda run: run[1] - run[0])  # spectra take no gaps
+    measured = measured_response(data[first:last], options.inputs, options.outputs, intersample=options.intersample)
+    return plot_bode({f"model of {model}": result}, measured=measured, units=dict(zip(names, units, strict=True)))
 
 
 def _save_bode(job: Job, fit: str, model: str, recording: str, key: str, part: Path) -> None:

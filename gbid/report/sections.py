@@ -646,6 +646,6 @@ def not_done(results: Results) -> list[str]:
     texts = [f"{text} (no section {name})" for name, done, text in missing if not done]
     if not results.designs.made:
         texts.append("no controller was designed")
-    if not results.assessed:
+    if not (results.assessed or any(design.performance for design in results.designs.made.values())):
         texts.append("no controller was assessed")
     return texts

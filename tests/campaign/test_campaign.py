@@ -390,7 +390,7 @@ def test_single_fits_that_fail(tmp_path, capsys):
         ("spring", 2, "--one spring: no such fit"),
     ]:
         assert words in printed_by(capsys, "fit", path, "--one", item, code=code).err
-    for wrong in (["--list"], ["--only", "spring"], ["--dry-run"], ["--engine", "pool"]):
+    for wrong in (["--list"], ["--only", "spring"], ["--dry-run"], ["--engine", "pool"], ["--one", "spring/run1"]):
         assert gbid("fit", path, "--one", "spring/run3", *wrong) == 2
     with locked(results_of(path)):
         assert gbid("fit", path, "--one", "spring/run3") == 2

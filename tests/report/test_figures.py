@@ -192,6 +192,16 @@ def test_residual_figure_shows_what_it_should(residual_test):
         plot_residuals(residual_test, [[Figure().subplots()]])
 
 
+@pytest.mark.parametrize("n_inputs", [0, 1, 2])
+def test_the_words_below_a_residual_figure_fit_into_it(residual_test, n_inputs):
+    by_input = ("crosscorrelation", "cross_band", "p_independent")
+    fewer = {name: getattr(residual_test, name)[:, :n_inputs] for name in by_input}
+    figure = residuals_figure(replace(residual_test, input_names=residual_test.input_names[:n_inputs], **fewer))
+    figure.draw_without_rendering()
+    box = next(text for text in figure.texts if "shaded" in text.get_text()).get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= figure.bbox.x1
+
+
 def test_engineering_numbers_read_back():
     for exponent in range(-12, 13):
         for mantissa in (1.0, 2.34567, 9.9999, -5.5):

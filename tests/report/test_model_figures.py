@@ -17,7 +17,7 @@ from gbid.core.errors import UsageError
 from gbid.identify import bode, fit, measured_response
 from gbid.lpv import load_model
 from gbid.lpv.model import Domain
-from gbid.recording import Recording
+from gbid.recording import Recording, load_recording
 from gbid.structure import LinearModel, evaluate
 
 
@@ -125,6 +125,32 @@ def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path, mo
     lines = [line for line in (folder / "spring_run1_on_run2_bode.csv").read_text().splitlines() if line[0] != "#"]
     assert lines[0].startswith("output,input,frequency_hz,magnitude,magnitude_std")
     assert gbid("run", path) == 0  # kept: the key in the text is found again
+
+
+def test_a_bode_diagram_over_a_recording_with_a_gap(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("gbid.report.write.Pictures", BlankPictures)
+    monkeypatch.setattr("gbid.report.pictures.plot_bode", lambda *_, **options: drawn.append(options) or Figure())
+    path = write_spring(
+        tmp_path,
+        ("crossval:", "figures:\n  spring: {bode: true}\ncrossval:"),
+        ("focus: simulation", "recordings: run1, focus: simulation"),
+        ("on: cyclic", "on: [run2]"),
+    )
+    head, *rows = (tmp_path / "data" / "run2.csv").read_text().splitlines()
+    column = head.split(",").index("position [um]")
+    values = [row.split(",") for row in rows]
+    before = values[:100], [[*row[:column], "", *row[column + 1 :]] for row in values[100:160]], values[160:]
+    (tmp_path / "data" / "run2.csv").write_text(
+        "\n".join([head, *(",".join(row) for part in before for row in part), ""])
+    )
+    assert gbid("run", path) == 0
+    recording = load_recording(tmp_path / "results" / "spring" / "recordings" / "run2.h5")
+    expected = measured_response(recording[160:], "u", "y")  # the longer of its two parts
+    np.testing.assert_array_equal(drawn[0]["measured"].response, expected.response)
+    assert drawn[0]["units"] == {"u": "V", "y": "um"}
+    page = (tmp_path / "results" / "spring" / "report.html").read_text(encoding="utf-8")
+    assert f"{np.nanstd(recording.signals['y']):.3g}" in page  # its rms, of the samples that there are
 
 
 # ---- poles, responses, loops, rotation ----
