@@ -146,8 +146,7 @@ def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:
             for i in inputs:
                 u[1:-1, i] -= np.diff(u[:, i], 2) / 12
             segments.append(replace(segment, inputs=u))
-        blocks = replace(part.blocks, segments=tuple(segments), _regressors={})
-        parts.append(replace(part, blocks=blocks))
+        parts.append(replace(part, blocks=part.blocks.with_segments(segments)))
     return replace(problem, parts=tuple(parts))
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -144,6 +144,7 @@ class Blocks:
     predictor: GeneralPredictor
     segments: tuple[Segment, ...]
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
+    _ends: list[tuple[Any, FloatArray]] = field(default_factory=list)
 
     @property
     def gains(self) -> list[GapGains]:
@@ -202,6 +203,12 @@ class Blocks:
             self._regressors[shift] = in_groups(self._rows(shift), self.length, len(self.y))
         return self._regressors[shift]
 
+    def ends_from_zero(self, v: Any, compute: Callable[[], FloatArray]) -> FloatArray:
+        """Return the ends (n, W) of blocks that begin at zero, computed once for the last predictor."""
+        if not (self._ends and self._ends[0][0] is v):
+            self._ends[:] = [(v, compute())]
+        return self._ends[0][1]
+
     def release(self) -> None:
         """Free the memory of the regressors, the largest of a fit; they are made anew when they are needed again."""
         self._regressors.clear()
@@ -215,6 +222,10 @@ class Blocks:
             rows = self.predictor.regressor_rows(p.inputs, p.measured, shift, edges, p.time)
             for made, (first, end) in zip(rows, edges, strict=True):
                 yield made if p.gains is None else np.hstack([made, p.gains.columns[first:end]])
+
+    def with_segments(self, segments: Iterable[Segment]) -> Blocks:
+        """Return the blocks with other regressors, those of segments with as many samples."""
+        return replace(self, segments=tuple(segments), _regressors={}, _ends=[])
 
     def with_samples_of(self, other: Blocks) -> Blocks:
         """Return the blocks with the weights of others of the same records, and with their outputs without a copy."""

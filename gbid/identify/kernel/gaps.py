@@ -172,7 +172,7 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
         segment.part(columns)[:] = np.hstack([T.reshape(-1, n_y**2), gains])
         segments.append(replace(segment, gains=GapGains(columns, absent, spread)))
     y = in_groups([segment.targets for segment in segments], blocks.length, len(blocks.y))
-    return replace(blocks, y=y, segments=tuple(segments), _regressors={})
+    return replace(blocks.with_segments(segments), y=y)
 
 
 def _filter(v: PredictorValues, blocks: Blocks, measured: BoolArray, innovation: FloatArray) -> _Filter:

@@ -62,26 +62,31 @@ class Sweep:
 
 def powers_of(F: FloatArray, count: int) -> FloatArray:
     """Return ``F^0`` to ``F^count``, shape (count + 1, n, n), by doubling."""
-    powers = np.empty((count + 1, *F.shape))
-    powers[0] = np.eye(len(F))
-    have, step = 1, F
+    n = len(F)
+    powers = np.empty((count + 1, n, n))
+    powers[0] = np.eye(n)
+    rows, have, step = powers.reshape(-1, n), 1, F
     while have <= count:
         take = min(have, count + 1 - have)
-        powers[have : have + take] = powers[:take] @ step
+        np.matmul(rows[: take * n], step, out=rows[have * n : (have + take) * n])
         step = step @ step
         have += take
     return powers
 
 
+_IN_CACHE = 32_768  # values of windows that are scanned together: they stay in the cache
+
+
 def scan(transition: FloatArray, values: FloatArray) -> FloatArray:
     """Solve ``x[i] = transition x[i-1] + values[i]`` in place along axis 2 of (n, n_windows, steps, m), by doubling."""
-    n, _, steps, _ = values.shape
-    reach = 1
-    while reach < steps:
-        carried = transition @ values[:, :, :-reach].reshape(n, -1)
-        values[:, :, reach:] += carried.reshape(values[:, :, reach:].shape)
-        transition = transition @ transition
-        reach *= 2
+    n, n_windows, steps, m = values.shape
+    count, carry = max(1, _IN_CACHE // max(1, n * steps * m)), [(1, transition)]
+    while 2 * carry[-1][0] < steps:
+        carry.append((2 * carry[-1][0], carry[-1][1] @ carry[-1][1]))
+    for first in range(0, n_windows, count) if steps > 1 else ():
+        some = values[:, first : first + count]
+        for reach, power in carry:
+            some[:, :, reach:] += (power @ some[:, :, :-reach].reshape(n, -1)).reshape(some[:, :, reach:].shape)
     return values
 
 
