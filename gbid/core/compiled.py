@@ -24,8 +24,10 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 from platformdirs import user_cache_path
 
 from gbid.core.errors import DataError
@@ -278,6 +280,23 @@ def load_library(source: str, flags: tuple[str, ...] = FLAGS) -> Library:
         raise CompilerMissingError(
             f"the cache of compiled kernels cannot be used: {error}; set GBID_CACHE_DIR to a folder that can be written"
         ) from None
+
+
+def run_compiled(
+    function: Any,
+    sizes: Sequence[int],
+    arrays: Sequence[npt.NDArray[Any]],
+    results: Sequence[npt.NDArray[Any] | None],
+) -> None:
+    """Call a compiled function of sizes (long), arrays that it reads, and contiguous arrays that it writes, or NULL."""
+    given = [np.ascontiguousarray(array) for array in arrays]  # kept until the call has ended
+    function.restype = None
+    function(*map(ctypes.c_long, sizes), *(None if array is None else _pointer(array) for array in [*given, *results]))
+
+
+def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
+    """Return the address of an array for C."""
+    return ctypes.c_void_p(array.__array_interface__["data"][0])  # half the time of array.ctypes
 
 
 def _current(compiler: Compiler, flags: tuple[str, ...], source: str, library: Path) -> Library:

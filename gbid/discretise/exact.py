@@ -15,6 +15,8 @@ depend on the fastest pole and not on the scaling of the states.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.resources import files
 from math import factorial, prod
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -23,10 +25,13 @@ import numpy as np
 import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, IntArray
+from gbid.core.compiled import CompilerMissingError, load_library, run_compiled
 from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual
 
 TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double, so this order suffices when the norm is at most one
+_LARGEST = 20  # states, with more of which products by BLAS are faster than those of dual_exponentials.c
+_ROOM = 81  # numbers for each entry of a matrix that dual_exponentials.c holds on the way
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
 
 
@@ -53,6 +58,8 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
     Exponentials
         Of the same type as `Z`.
     """
+    if isinstance(Z, Dual) and Z.shape[0] <= _LARGEST and (function := _compiled()):
+        return _of_dual(function, Z, squarings)
     eye: Any = ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[-1])
     Z = Z / 2.0**squarings
     powers = [eye, Z]
@@ -72,6 +79,24 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
         phi1 = (exp + eye) @ phi1 / 2.0
         exp = exp @ exp
     return Exponentials(exp, phi1, phi2)
+
+
+@cache
+def _compiled() -> Any:
+    """Return the function of dual_exponentials.c; None without a C compiler. Numpy then gives the same numbers."""
+    try:
+        source = files("gbid.discretise").joinpath("dual_exponentials.c").read_text(encoding="utf-8")
+        return load_library(source).gbid_exponentials
+    except CompilerMissingError:
+        return None
+
+
+def _of_dual(function: Any, Z: Dual, squarings: int) -> Exponentials:
+    n, n_p = Z.shape[0], len(Z.slope)
+    values, slopes = np.empty((3, *Z.value.shape)), np.zeros((3, *Z.slope.shape))
+    sizes = (values[0].size // max(n * n, 1), n, n_p, squarings)
+    run_compiled(function, sizes, [Z.value, Z.slope], [np.empty(_ROOM * n * n), values, slopes])
+    return Exponentials(*map(Dual, values, slopes))
 
 
 def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
@@ -135,10 +136,11 @@ class Disturbances:
             units[term.name] = f"{unit or 1}/s{seconds}" if term.power else unit
         return {**units, **dict.fromkeys(map(self.gain_name, self.walking), "1/s")}
 
-    def matrix(self, coefficients: FloatArray) -> FloatArray:
-        """Return the matrix from regressors to outputs, (..., n_outputs, n_columns), for coefficients of `terms`."""
-        matrix = np.zeros((*coefficients.shape[:-1], len(self.outputs), self.n_columns))
-        matrix[(..., *self.places)] = coefficients
+    def matrix(self, coefficients: Sequence[ca.SX]) -> ca.SX:
+        """Return the matrix from regressors to outputs, (n_outputs, n_columns), for coefficients of `terms`."""
+        matrix = ca.SX(len(self.outputs), self.n_columns)
+        for term, coefficient in zip(self.terms, coefficients, strict=True):
+            matrix[term.output, term.column] = coefficient
         return matrix
 
     @cached_property

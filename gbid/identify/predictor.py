@@ -13,7 +13,16 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual, at_points, constant, side_by_side
-from gbid.discretise.exact import Hold, check_holds, delayed_taps, discretise, over_sample, squarings_for, step_numbers
+from gbid.discretise.exact import (
+    Hold,
+    check_holds,
+    delayed_taps,
+    discretise,
+    each,
+    over_sample,
+    squarings_for,
+    step_numbers,
+)
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
@@ -272,36 +281,29 @@ class Predictor(GeneralPredictor):
         without impulse and measured outputs.
         """
         step: Any = self.sample_time
-        evaluated, doublings = self._evaluate(theta), None
+        evaluated = self._evaluate(theta)
+        doublings = squarings_for([each(evaluated[0])[0] * (step if steps is None else steps[-1])])
         if steps is not None:
-            doublings = squarings_for([evaluated[0].value * steps[-1]])
-            evaluated, step = [at_points(each, steps.shape) for each in evaluated], steps[:, None, None]
-        A, B, C, D, K, B_delayed, delay, x0, *law = evaluated
-        n_p, n_y, n = len(self.free), self.n_outputs, A.shape[0]
-        prompt, lead = list(self.prompt), self._lead
-        by_law = [law[4]] if law else []
-        acting = [B.columns(prompt), *by_law, K] if self.feeds_back else [B.columns(prompt), *by_law]
-        n_held = sum(part.shape[1] for part in acting[1:])
-        holds, whole = [self.holds[i] for i in prompt], over_sample(A, step, doublings)
-        F, now, following = discretise(A, side_by_side(acting), step, holds + ["zoh"] * n_held, whole=whole)
-        # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
-        drives, shift = [now.columns(slice(0, len(prompt)))], []
-        feeds = [D.columns(prompt)]
+            evaluated, step = [at_points(part, steps.shape) for part in evaluated], steps[:, None, None]
+        A, acting, C, feed, late, delay, x0, *law = evaluated
+        n_p, n_y, n, n_prompt, lead = len(self.free), self.n_outputs, A.shape[0], len(self.prompt), self._lead
+        prompt, whole = slice(0, n_prompt), over_sample(A, step, doublings)
+        holds = [*(self.holds[i] for i in self.prompt), *["zoh"] * (acting.shape[1] - n_prompt)]
+        F, now, following = discretise(A, acting, step, holds, whole=whole)
+        # Effect of the inputs without feedback on the state, in the order of the regressors.
+        drives, shift = [now.columns(prompt)], []
         if lead:
-            drives.append(following.columns([prompt.index(i) for i in lead]))
-            feeds.append(constant(np.zeros((n_y, len(lead))), n_p))
-        for position, i in enumerate(self.delayed):
-            tau = delay.rows(slice(position, position + 1))
-            taps = delayed_taps(A, B_delayed.columns([i]), tau, step, self.holds[i], whole=whole)
-            columns = taps.columns if self.holds[i] == "foh" else taps.columns[1:]
-            drives += columns
-            feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
+            drives.append(following.columns([self.prompt.index(i) for i in lead]))
+        for k, i in enumerate(self.delayed):
+            tau, b = delay.rows(slice(k, k + 1)), late.columns(slice(k, k + 1))
+            near = float(tau.value.flat[0]), doublings
+            taps = delayed_taps(A, b, tau, step, self.holds[i], near=near, whole=whole)
+            drives += taps.columns if self.holds[i] == "foh" else taps.columns[1:]
             shift.append(taps.shift)
         if self.disturbances.n_columns:
             drives.append(constant(np.zeros((n, self.disturbances.n_columns)), n_p))
-            feeds.append(self._disturbing_columns(theta))
-        held = now.columns(slice(len(prompt), None))
-        plant = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
+        held = now.columns(slice(n_prompt, None))
+        plant = LoopParts(F, side_by_side(drives), C, feed, held)
         if self.feedback is None:
             return plant, x0, shift
         n_r = law[4].shape[1]
@@ -315,22 +317,18 @@ class Predictor(GeneralPredictor):
         ordered = F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order)
         return LoopParts(*ordered), x0, shift
 
-    def _disturbing_columns(self, theta: FloatArray) -> Dual:
-        """Return the matrix from the regressors of disturbances to the outputs: the last of the parameters."""
-        n_p, count = theta.shape[-1], len(self.disturbances.terms)
-        value = self.disturbances.matrix(theta[..., n_p - count :])
-        slope = np.zeros((n_p, *value.shape))
-        for i, (row, column) in enumerate(zip(*self.disturbances.places, strict=True)):
-            slope[n_p - count + i, ..., row, column] = 1.0
-        return Dual(value, slope)
-
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Return the matrices of the structure with their derivatives, as in `Matrices`.
 
         They are those of continuous time. Of a loop with a sampled controller they are those of the loop from sample to
         sample.
         """
-        A, B, C, D, K, B_delayed, delay, *_ = self._evaluate(theta)
+        A, acting, C, feed, late, delay, *_ = self._evaluate(theta)
+        by_input, n_prompt = np.eye(self.n_inputs), len(self.prompt)
+        B, D = (part.columns(slice(0, n_prompt)) @ by_input[list(self.prompt)] for part in (acting, feed))
+        B_delayed = late @ by_input[list(self.delayed)]
+        none = constant(np.zeros((A.shape[0], self.n_outputs)), len(self.free))
+        K = acting.columns(slice(-self.n_outputs, None)) if self.feeds_back else none
         # the states of random walks are the last, but for spare ones
         states = slice(self.n_states - self.spare - len(self.disturbances.walking))
         if self.feedback is not None:
@@ -349,7 +347,7 @@ class Predictor(GeneralPredictor):
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        return np.pad(self._evaluate(theta)[7].value[:, 0], (0, self.spare))
+        return np.pad(self._evaluate(theta)[6].value[:, 0], (0, self.spare))
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         points = np.ascontiguousarray(theta, float).reshape(-1, len(self.free))
@@ -472,7 +470,17 @@ def _built(
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
     x0 = m.x0 if released else ca.SX(n_all, 1)
     law = list(m.feedback.law) if m.feedback else []
-    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay, x0, *law]
+    prompt = list(range(n_u)) if law else sorted({*_driven(m.B), *_driven(m.D)})
+    delayed = _driven(m.B_delayed) if m.has_delay else []
+    if intervals is not None and delayed:
+        refuse_irregular(structure.name, "exact delays")
+    feeds_back = K.nnz() > 0 or (bool(law) and focus == "prediction")
+    coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
+    # what acts at once: columns of prompt inputs, of a sampled controller, of errors; what no input drives is zero
+    acting = ca.horzcat(m.B[:, prompt], *law[4:5], *[K] * feeds_back)
+    n_driven = sum(holds[i] == "foh" for i in prompt) + sum(3 if holds[i] == "foh" else 2 for i in delayed)
+    feed = ca.horzcat(m.D[:, prompt], ca.SX(n_y, n_driven), disturbances.matrix(coefficients))
+    matrices = [m.A, acting, m.C, feed, m.B_delayed[:, delayed], m.delay, x0, *law]
     seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
@@ -483,17 +491,12 @@ def _built(
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
-    matrices[7] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[7]
-    delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
-    if intervals is not None and delayed:
-        refuse_irregular(structure.name, "exact delays")
-    matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
-    coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
+    matrices[5] = matrices[5][delayed] if delayed else ca.SX(0, 1)
+    matrices[6] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[6]
     symbols = [p[i] for i, q in enumerate(structure.parameters) if q in free]
     theta = ca.vertcat(*symbols, gain_symbols, *coefficients)
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix.T)) for matrix in matrices))  # row by row, as numpy has them
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
-    prompt = range(n_u) if law else sorted({*_driven(m.B), *_driven(m.D)})
     noise, walks = kind_of(structure).anatomy().gain_only, tuple(range(len(free), len(free) + len(gains)))
     return Predictor(
         free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
@@ -504,8 +507,8 @@ def _built(
         n_outputs=n_y,
         holds=holds,
         prompt=tuple(prompt),
-        delayed=delayed,
-        feeds_back=K.nnz() > 0 or (bool(law) and focus == "prediction"),
+        delayed=tuple(delayed),
+        feeds_back=feeds_back,
         disturbances=disturbances,
         walks=walks,
         sample_time=sample_time,

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.core.compiled import FLAGS, load_library
+from gbid.core.compiled import FLAGS, load_library, run_compiled
 from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
-from gbid.identify.kernel.linear import CompiledPasses, filled, reached, run_compiled
+from gbid.identify.kernel.linear import CompiledPasses, filled, reached
 from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
 from gbid.identify.kernel.sums import SampleSums

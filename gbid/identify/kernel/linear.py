@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -10,10 +9,9 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
-from gbid.core.compiled import load_library
+from gbid.core.compiled import load_library, run_compiled
 from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
@@ -632,23 +630,6 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         sizes = (n, n_p, n_y, n_z, length, some.start, some.stop)
         run_compiled(run, sizes, [*entries, prediction.states, z, blocks.used, starts], [sides, psi])
         return psi
-
-
-def run_compiled(
-    function: Any,
-    sizes: Sequence[int],
-    arrays: Sequence[npt.NDArray[Any]],
-    results: Sequence[npt.NDArray[Any] | None],
-) -> None:
-    """Call a compiled function of sizes (long), arrays that it reads, and contiguous arrays that it writes, or NULL."""
-    given = [np.ascontiguousarray(array) for array in arrays]  # kept until the call has ended
-    function.restype = None
-    function(*map(ctypes.c_long, sizes), *(None if array is None else _pointer(array) for array in [*given, *results]))
-
-
-def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
-    """Return the address of an array for C."""
-    return ctypes.c_void_p(array.__array_interface__["data"][0])  # half the time of array.ctypes
 
 
 def _by_rows(matrix: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
