@@ -375,7 +375,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     def to_hdf5(self, group: h5py.Group) -> None:
         """Write this fit to the `group`, and whether it succeeded."""
         hdf5.write_fields(group, self)
-        group.attrs["success"] = self.success
+        hdf5.add_attribute(group, "success", np.array(self.success))
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> FitResult:

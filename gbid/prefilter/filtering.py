@@ -629,7 +629,7 @@ def _read_report(group: h5py.Group) -> PrefilterReport:
         group,
         PrefilterReport,
         channels={name: signal.channels for name, signal in signals.items()},
-        units={name: hdf5.read_text(group[name]["offset"], "units") for name in names},
+        units={name: hdf5.read_text(group, "units", f"{name}/offset") for name in names},
         rms_before={name: signal.rms_before for name, signal in signals.items()},
         rms_after={name: signal.rms_after for name, signal in signals.items()},
         offsets={name: signal.offset for name, signal in signals.items()},

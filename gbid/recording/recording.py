@@ -230,12 +230,12 @@ class Recording(Brief, Pictured, hdf5.InFile):
         signals, units, channels, irregular = {}, {}, {}, False
         entries, known = hdf5.read_group(group, "signals"), hdf5.read_group(group, "conditions")
         for name in entries:
-            item, signals[name] = entries[name], hdf5.read_dataset(entries, name)
+            signals[name] = hdf5.read_dataset(entries, name)
             if name == "time":
-                irregular = "irregular" in item.attrs
+                irregular = "irregular" in entries[name].attrs
             else:
-                units[name] = hdf5.read_text(item, "units")
-                channels[name] = hdf5.read_texts(item, "channels")
+                units[name] = hdf5.read_text(entries, "units", name)
+                channels[name] = hdf5.read_texts(entries, "channels", name)
         if "time" not in signals:
             raise hdf5.DamagedError("/signals/time is missing")
         time = signals.pop("time")

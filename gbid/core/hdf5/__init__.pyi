@@ -5,6 +5,7 @@ from .file import (
     MADE_WITH as MADE_WITH,
     DamagedError as DamagedError,
     FileKind as FileKind,
+    add_attribute as add_attribute,
     add_dataset as add_dataset,
     add_texts as add_texts,
     changing as changing,

@@ -90,8 +90,6 @@ AS_JSON = Stored(long_name="JSON")
 _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
 _TAKEN = {"f": "fiu", "i": "iu", "b": "b"}  # accepted kinds of arrays: whole numbers are numbers, too
 _WORDS = {"f": "numbers", "i": "whole numbers", "b": "true or false", "U": "texts"}
-_COMPRESSED = 10_000  # smallest number of values in a compressed dataset
-_PACKED: Mapping[str, Any] = MappingProxyType({"compression": "gzip", "shuffle": True})
 
 
 @dataclass
@@ -167,11 +165,10 @@ class Leaf:
         context.check(array.shape, self.shape, lambda: where(group, name))
         if self.is_dataset:
             unit, words = self.stored.unit, self.stored.long_name or name.replace("_", " ")
-            options = _PACKED if self.kind != "U" and array.size >= _COMPRESSED else {}
-            add_dataset(group, name, array, context.units.get(unit, unit), words, **options)
+            add_dataset(group, name, array, context.units.get(unit, unit), words, self.kind != "U")
             return
         path, attribute = attribute_of(name)
-        item = group.require_group(path) if path else group
+        item = group if path == "." else group.require_group(path)
         add_attribute(item, attribute, array)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
@@ -184,8 +181,7 @@ class Leaf:
             array = read_dataset(group, name, texts=self.kind == "U")
         else:
             path, attribute = attribute_of(name)
-            item = group[path] if path else group
-            array = np.asarray(read_attribute(item, attribute))
+            array = np.asarray(read_attribute(group, attribute, path))
         array = self._typed(array, lambda: where(group, name))
         context.check(array.shape, self.shape, lambda: where(group, name))
         return array if self.shape != () else array.item()
@@ -200,9 +196,9 @@ class Leaf:
 
 
 def attribute_of(place: str) -> tuple[str, str]:
-    """Return path and attribute of a place such as ``"parameters@units"`` or ``"status"``."""
+    """Return path and attribute of a place such as ``"parameters@units"`` or ``"status"``; "." is the group itself."""
     path, at, attribute = place.partition("@")
-    return (path, attribute) if at else ("", place)
+    return (path or ".", attribute) if at else (".", place)
 
 
 # ---- Codecs of nested fields: dataclasses, tuples of dataclasses, mappings, and optional values.
@@ -280,7 +276,7 @@ class Numbered:
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
         """Write the entries to a new group."""
         entries = group.create_group(name)
-        entries.attrs["count"] = len(value)
+        add_attribute(entries, "count", np.array(len(value)))
         if self.named:
             add_texts(entries, "names", value)
         for i, item in enumerate(value.values() if self.named else value):
@@ -319,7 +315,7 @@ class Keyed:
         path, keys = self._keys(name)
         array = self.values.get(group, name, context)
         if f"{path}@{keys}" not in context.keys:
-            context.keys[f"{path}@{keys}"] = read_texts(group[path], keys)
+            context.keys[f"{path}@{keys}"] = read_texts(group, keys, path)
         names = context.keys[f"{path}@{keys}"]
         if len(names) != len(array):
             raise ValueError(f"{where(group, name)} has {len(array)} entries, its attribute {keys!r} {len(names)}")
@@ -383,7 +379,7 @@ class OneOf:
 
 def _contains(group: h5py.Group, place: str) -> bool:
     path, attribute = attribute_of(place)
-    return place in group or ((path in group if path else True) and attribute in (group[path] if path else group).attrs)
+    return place in group or (path in group and attribute in group[path].attrs)
 
 
 # ---- Codecs of fields, chosen by their types.
@@ -674,7 +670,7 @@ def save(value: InFile, path: str | Path, overwrite: bool = False, document: Any
         file.attrs.update(attributes)
         if document is not None:
             text = np.frombuffer(_plain_json(document).encode(), np.uint8)
-            add_dataset(file, DOCUMENT, text, "", "what pages show, JSON in UTF-8", **_PACKED)
+            add_dataset(file, DOCUMENT, text, "", "what pages show, JSON in UTF-8", compress=True)
 
 
 def read_document(path: Path, kind: FileKind) -> Any:
