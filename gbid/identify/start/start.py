@@ -16,7 +16,7 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold, check_holds, hold_response
-from gbid.identify.data import FitData, Record, column_means, moves
+from gbid.identify.data import FitData, Record, centred_rows, moves
 from gbid.identify.predictor import Predictor, build_predictor
 from gbid.identify.start.black_box import BlackBox, Target, black_box, match
 from gbid.structure import (
@@ -37,7 +37,7 @@ from gbid.structure.built_in import AXES, PAIRS
 
 def spectrum_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Return angular frequencies (n_f,) [rad/s] and transforms (n_f, n) of a record's samples without the mean."""
-    transform = np.fft.rfft(values - column_means(values), axis=0) * sample_time
+    transform = np.fft.rfft(centred_rows(values)).T * sample_time
     return np.asarray(2 * np.pi * np.fft.rfftfreq(len(values), sample_time), float), transform
 
 
@@ -111,7 +111,7 @@ def _resonance_band(spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]]
     resolution = 2.0  # Hz: smooths the spectrum, and is small compared with the frequencies of the modes
     for omega, U, P in spectra:
         bins = (omega / (2 * np.pi * resolution)).astype(int)
-        binned = np.array([np.bincount(bins, (np.abs(values) ** 2).sum(1)) for values in (U, P)])
+        binned = np.array([np.bincount(bins, (values.real**2 + values.imag**2).sum(1)) for values in (U, P)])
         totals[binned.shape[1]] = totals.get(binned.shape[1], np.zeros_like(binned)) + binned
     drive, response = totals[max(totals)]
     response[: int(10 / resolution)] = 0.0  # excludes drift and creep
@@ -146,28 +146,29 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     if not any(moves(record.inputs).any() for record in records):  # free decays: no delays, no gains
         return _named(structure, np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None])
 
-    drive, quarter = (as_real(each).reshape(2, -1, 2) for each in (complex_drive, -1j * complex_drive))
+    onto, frequencies = basis.T.copy(), [each[-1] for each in equations]
 
     def delayed(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the columns of the delayed inputs, and what the motion leaves of them."""
-        angle = omega[:, None] * tau
-        columns = (drive * np.cos(angle) + quarter * np.sin(angle)).reshape(-1, 2)
-        return columns, columns - basis @ (basis.T @ columns)
+        """Return the delayed inputs as rows, real parts before imaginary ones, and what the motion leaves of them."""
+        columns = complex_drive.T * np.hstack([_turned(tau, omega) for omega in frequencies])
+        rows = np.hstack([columns.real, columns.imag])
+        return rows, rows - (rows @ basis) @ onto
 
-    def unexplained(columns: FloatArray) -> float:
-        """Return the residual of two projected columns, up to a constant."""
-        share, products = columns.T @ rest, columns.T @ columns
-        (a, b), (_, c) = products
-        regular = a * c - b * b > _REGULAR * a * c
-        inverse = np.array([[c, -b], [-b, a]]) / (a * c - b * b) if regular else np.linalg.pinv(products)
-        return -float((share * (inverse @ share)).sum())
+    def unexplained(rows: FloatArray) -> float:
+        """Return the residual of two projected rows, up to a constant."""
+        products, share = rows @ rows.T, rows @ rest
+        shares = share @ share.T
+        ((a, b), (_, c)), ((d, e), (_, f)) = products.tolist(), shares.tolist()
+        if a * c - b * b > _REGULAR * a * c:
+            return float((2 * b * e - c * d - a * f) / (a * c - b * b))
+        return -float(np.vdot(np.linalg.pinv(products), shares))
 
     bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
     longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
     grid = np.linspace(0.0, longest, 7)
     sampled = [delayed(np.array([a, a]))[1] for a in grid]  # both axes at once: pairs of delays share their columns
     pairs = list(itertools.product(range(len(grid)), repeat=2))
-    scores = [unexplained(np.column_stack([sampled[i][:, 0], sampled[j][:, 1]])) for i, j in pairs]
+    scores = [unexplained(np.stack([sampled[i][0], sampled[j][1]])) for i, j in pairs]
     first = grid[list(pairs[int(np.argmin(scores))])]
     simplex = first + grid[1] / 2 * np.array([[0, 0], [1, 0], [0, 1]])
     options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
@@ -176,11 +177,18 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     ).x
     lower, upper = np.array([bounds[f"tau_{axis}"] for axis in AXES]).T
     tau = np.clip(tau, 2 * lower, upper)
-    columns, projected = delayed(tau)
+    columns, projected = (rows.T for rows in delayed(tau))
     gain = np.asarray(np.linalg.lstsq(projected, rest, rcond=None)[0])
     motion = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
     delays = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
     return {**_named(structure, motion, gain), **delays}
+
+
+def _turned(tau: FloatArray, omega: FloatArray) -> ComplexArray:
+    """Return ``exp(-1j tau omega)``, (n_tau, n_f), for evenly spaced frequencies: products of few exponentials."""
+    few = max(1, int(np.sqrt(len(omega))))
+    coarse, fine = (np.exp(-1j * tau[:, None] * part) for part in (omega[::few], omega[:few] - omega[:1]))
+    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(tau), -1)[:, : len(omega)])
 
 
 def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None = None) -> dict[str, float]:
