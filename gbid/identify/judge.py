@@ -179,17 +179,15 @@ def _residuals(optimum: Optimum) -> _Residuals:
     problem, shooting, solution = optimum.problem, optimum.shooting, optimum.solution
     data, windows = problem.task.data, problem.assembly.record_window
     theta, starts = shooting.unpack(solution.unknowns)
-    errors = shooting.errors(shooting.values(theta), starts)
-    every = shooting.by_record(errors, windows)
+    every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)
     used = shooting.by_record([part.blocks.used[:, :, None] for part in shooting.parts], windows)
     outputs = [_counted_outputs(r, rows[:, 0] > 0) for r, rows in zip(data.records, used, strict=True)]
     squares = np.asarray(sum(e.T @ e for e in every) + shooting.absent)
     weighted = shooting if optimum.reweighted is None else optimum.reweighted.problem
-    by_record = every
+    by_record, products = every, squares
     if weighted is not shooting:
-        errors = weighted.errors(weighted.values(theta), starts)
-        by_record = weighted.by_record(errors, windows)
-    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors) + weighted.absent)
+        by_record = weighted.by_record(weighted.errors(weighted.values(theta), starts), windows)
+        products = np.asarray(sum(e.T @ e for e in by_record) + weighted.absent)
     estimate = Estimate(weighted, theta, starts, windows, problem.task.states.in_shooting(weighted.n_states))
     if optimum.weighted is not None:
         estimate = replace(estimate, filters=optimum.weighted.filters)

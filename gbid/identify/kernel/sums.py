@@ -140,19 +140,17 @@ class Linked(NamedTuple):
 def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
     """Return the sensitivities of the starts of blocks, whose transitions are `powers` of one matrix."""
     n_blocks, n, n_p = end_theta.shape
-    first, size = blocks.window_first, blocks.window_size
-    if blocks.per_window > 1:
-        starts, ends = np.zeros((n, blocks.n_windows, n_p + n)), np.zeros((n, n_blocks, n_p + n))
-        starts[:, :, n_p:] = np.eye(n)[:, None]
-        ends[:, :, :n_p] = end_theta.transpose(1, 0, 2)
-        both = along_windows(blocks, starts, ends, powers[-1]).transpose(1, 0, 2)
-        by_theta, by_start = np.ascontiguousarray(both[:, :, :n_p]), np.ascontiguousarray(both[:, :, n_p:])
-    else:
-        by_theta = np.zeros((n_blocks, n, n_p))
+    last = blocks.window_first + blocks.window_size - 1
+    ends_theta, transition = end_theta[last], powers[blocks.size[last]]
+    if blocks.per_window == 1:
         by_start = np.broadcast_to(np.eye(n), (n_blocks, n, n))
-    last = first + size - 1
-    transition = powers[blocks.size[last]]
-    return Linked(by_theta, by_start, transition @ by_theta[last] + end_theta[last], transition @ by_start[last])
+        return Linked(np.zeros((n_blocks, n, n_p)), by_start, ends_theta, transition)
+    starts, ends = np.zeros((n, blocks.n_windows, n_p + n)), np.zeros((n, n_blocks, n_p + n))
+    starts[:, :, n_p:] = np.eye(n)[:, None]
+    ends[:, :, :n_p] = end_theta.transpose(1, 0, 2)
+    both = along_windows(blocks, starts, ends, powers[-1]).transpose(1, 0, 2)
+    by_theta, by_start = np.ascontiguousarray(both[:, :, :n_p]), np.ascontiguousarray(both[:, :, n_p:])
+    return Linked(by_theta, by_start, transition @ by_theta[last] + ends_theta, transition @ by_start[last])
 
 
 def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: Linked) -> Sweep:

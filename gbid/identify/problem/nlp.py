@@ -131,7 +131,7 @@ class Pattern(NamedTuple):
         """Return the pattern of entries, ordered by column, then row."""
         row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
         column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
-        order = np.lexsort((row, column))
+        order = np.argsort(column * shape[0] + row, kind="stable")
         return cls(shape, row[order], column[order], order)
 
 
@@ -441,7 +441,7 @@ class Shooting:
 
     def by_part(self, windows: FloatArray) -> list[FloatArray]:
         """Return values of all windows, (n_windows, ...), part by part."""
-        return np.split(windows, self.first_window[1:-1])
+        return [windows] if len(self.parts) == 1 else np.split(windows, self.first_window[1:-1])
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
@@ -556,8 +556,8 @@ class Shooting:
     @cached_property
     def hessian_pattern(self) -> Pattern:
         """Sparsity pattern of the upper triangle of the Hessian: an arrow, and what meets in extra terms."""
-        n, size, pairs = self.n_states, self.n_unknowns, self._theta_pairs
-        rows, columns, upper = [pairs[0]], [pairs[1]], np.triu_indices(n)
+        n, size, pairs, upper = self.n_states, self.n_unknowns, self._theta_pairs, self._upper
+        rows, columns = [pairs[0]], [pairs[1]]
         for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
             base = self.n_theta + np.arange(first, last) * n
             shape = (last - first, len(part.index), n)
@@ -601,6 +601,11 @@ class Shooting:
         edges = zip(self.first_window[:-1], self.first_window[1:], strict=True)
         rows = [np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last)) for first, last in edges]
         return [(links, self.links[links, 0]) for links in rows]
+
+    @cached_property
+    def _upper(self) -> tuple[IntArray, IntArray]:
+        """Rows and columns of the upper triangle of a block of states."""
+        return np.triu_indices(self.n_states)
 
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
@@ -710,8 +715,7 @@ class Shooting:
         `theta` (n_theta, n_theta) is the block of the parameters. For each part, `mixed` (n_windows, n_p, n) is the
         block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.
         """
-        rows, columns = np.triu_indices(self.n_states)
-        each = zip(mixed, starts, strict=True)
+        (rows, columns), each = self._upper, zip(mixed, starts, strict=True)
         arrow = [entries for m, own in each for entries in (m.ravel(), own[:, rows, columns].ravel())]
         flat, order = np.concatenate([theta[self._theta_pairs], *arrow]), self.hessian_pattern.order
         return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])

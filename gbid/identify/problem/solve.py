@@ -218,11 +218,10 @@ def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) ->
     """
     limit, of = np.nonzero(limits)
     further = np.arange(n_extra).repeat(len(used))
-    rows = np.concatenate([gaps.rows, gaps.shape[0] + limit, gaps.shape[0] + len(limits) + further])
-    columns = np.concatenate([gaps.columns, of, np.tile(used, n_extra)])
-    order = np.lexsort((rows, columns))
-    shape = gaps.shape[0] + len(limits) + n_extra, gaps.shape[1]
-    return _sparsity(Pattern(shape, rows[order], columns[order], order)), order
+    rows = [gaps.rows, gaps.shape[0] + limit, gaps.shape[0] + len(limits) + further]
+    columns = [gaps.columns, of, np.tile(used, n_extra)]
+    pattern = Pattern.of((gaps.shape[0] + len(limits) + n_extra, gaps.shape[1]), rows, columns)
+    return _sparsity(pattern), pattern.order
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:
