@@ -312,10 +312,6 @@ class KernelPattern(NamedTuple):
     def _content(self) -> tuple[tuple[tuple[int, ...], bytes], ...]:
         return tuple((array.shape, array.tobytes()) for array in self)
 
-    def covers(self, other: KernelPattern) -> bool:
-        """Whether every entry of another pattern is one of this."""
-        return all(not (theirs & ~mine).any() for mine, theirs in zip(self, other, strict=True))
-
     def union(self, other: KernelPattern) -> KernelPattern:
         """Entries of either."""
         return KernelPattern(*(mine | theirs for mine, theirs in zip(self, other, strict=True)))
@@ -549,7 +545,7 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         self._build(pattern)
 
     def _build(self, pattern: KernelPattern) -> None:
-        self._pattern = pattern
+        self._pattern, self._zeros = pattern, np.flatnonzero(~np.concatenate([part.ravel() for part in pattern]))
         library = load_library(kernel_source(pattern))
         self.note = library.note
         self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
@@ -558,9 +554,8 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
     def _regressors(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
         """Return the regressors; build the kernel anew if the predictor has new nonzeros."""
         if v is not self._known:  # a gradient runs four passes of one predictor
-            pattern = KernelPattern.of(v)
-            if not self._pattern.covers(pattern):
-                self._build(self._pattern.union(pattern))
+            if np.concatenate([array.ravel() for array in v[:8]])[self._zeros].any():
+                self._build(self._pattern.union(KernelPattern.of(v)))
             self._known = v
         return blocks.z(v.shift)
 
