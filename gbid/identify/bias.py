@@ -335,7 +335,7 @@ def bias_of(optimum: Optimum, errors: Sequence[FloatArray], std: FloatArray, *, 
             optimum.problem.assembly.record_window,
         )
         other.shooting.release()
-        noisy = np.any([e.any(axis=0) for e in errors], axis=0)
+        noisy = [any(column.any() for column in columns) for columns in zip(*(e.T for e in errors), strict=True)]
         for e in others:
             e *= noisy
     notes = left_out_notes(optimum, errors, others, white=white)

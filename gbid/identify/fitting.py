@@ -15,6 +15,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.core.option_types import takes_options
+from gbid.identify.data import column_means, column_variances
 from gbid.identify.frequency_fit import USED, fitted_to_responses
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import FitTask, Measured, PosedProblem, Recordings, apart, pose, with_options
@@ -190,10 +191,11 @@ def _means_may_matter(task: FitTask, result: FitResult) -> bool:
         gain = result.linear_model.static_gain()
     except UsageError:
         gain = np.zeros((len(task.data.output_names), len(task.data.input_names)))
-    return any(
-        (np.abs(r.outputs.mean(axis=0) - gain @ r.inputs.mean(axis=0)) > _OF_MOTION * r.outputs.std(axis=0)).any()
-        for r in task.data.records
-    )
+    for r in task.data.records:
+        unexplained = np.abs(column_means(r.outputs) - gain @ column_means(r.inputs))
+        if (unexplained > _OF_MOTION * np.sqrt(column_variances(r.outputs))).any():
+            return True
+    return False
 
 
 def _note_of_means(

@@ -87,8 +87,6 @@ class Iterate(NamedTuple):
         Factor from the sums of a sweep to the scale of the cost.
     extra_rows, extra_slopes : (n_rows,) and (n_rows, n_used) array
         Constraints of the caller and their derivatives by the unknowns that they use.
-    rate : float
-        Largest growth of a small deviation in a sample; infinite where the predictor overflows.
     """
 
     cost: float
@@ -100,7 +98,6 @@ class Iterate(NamedTuple):
     factor: float
     extra_rows: FloatArray = np.zeros(0)
     extra_slopes: FloatArray = np.zeros((0, 0))
-    rate: float = np.inf
 
 
 class Prior(NamedTuple):
@@ -508,9 +505,11 @@ class Shooting:
         return (self._watched and isinstance(p, Predictor) and near_instability(p, own, v, EDGE) for p, own, v in each)
 
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
-        alone = self.growth(self.values(theta))
-        return self.at_physical(theta, starts).rate if np.isnan(alone) else alone
+        """Return the growth of a small deviation in a sample at a point; infinite where the problem has no value."""
+        values = self.values(theta)
+        alone = self.growth(values)
+        rate = self.growth(values, self.at_physical(theta, starts).sweeps) if np.isnan(alone) else alone
+        return np.inf if np.isnan(rate) else rate
 
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""
@@ -644,9 +643,9 @@ class Shooting:
     def _evaluate(self, theta: FloatArray, starts: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
             values = self.values(theta)
-            rate = self.growth(values)
+            rate = self.growth(values) if self._watched else 0.0
             if self._refused(theta, rate):
-                return self._invalid(rate)
+                return self._invalid()
             if self.criterion == "trace":  # the weight is one factor, applied after the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
@@ -655,12 +654,12 @@ class Shooting:
             else:
                 products = self.error_products(values, starts)
                 if not np.isfinite(products).all():
-                    return self._invalid(rate)
+                    return self._invalid()
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
             rate = self.growth(values, sweeps) if np.isnan(rate) else rate
             if self._refused(theta, rate):
-                return self._invalid(np.inf)
-            return self._assembled(theta, starts, sweeps, products, factor)._replace(rate=rate)
+                return self._invalid()
+            return self._assembled(theta, starts, sweeps, products, factor)
 
     def _assembled(
         self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
@@ -720,10 +719,9 @@ class Shooting:
         flat, order = np.concatenate([theta[self._theta_pairs], *arrow]), self.hessian_pattern.order
         return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])
 
-    def _invalid(self, rate: float) -> Iterate:
+    def _invalid(self) -> Iterate:
         n_extra = 0 if self.extra is None else len(self.extra.size)
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows), n_extra)
         gradient, gaps, jacobian, hessian, rows = (np.full(size, np.nan) for size in sizes)
         slopes = np.full((n_extra, len(self.extra_places[0])), np.nan)
-        rate = np.inf if np.isnan(rate) else rate
-        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rows, slopes, rate)
+        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rows, slopes)

@@ -557,12 +557,13 @@ class Watch:
         self._stuck = self._stuck + 1 if still and not at_rest else 0
         near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
-        self.creeping = creeps and problem.at(x).rate < 1
+        self.creeping = creeps and problem.rate(*problem.unpack(x)) < 1
         ends = False
         if self.ends_near and sigma < limit.judged and self._sigma < limit.near and gap < limit.near_gap:
             ends, self.ends_near = self.ends_near(x), None
         self._previous, self._sigma = x, sigma
-        self._unstable = self._unstable + 1 if problem.noise and problem.at(x).rate > 1 else 0
+        watched = problem.noise and not problem.stable_only  # else the problem has no value at an unstable predictor
+        self._unstable = self._unstable + 1 if watched and problem.rate(*problem.unpack(x)) > 1 else 0
         reasons = {
             FitStatus.CONVERGED_BY_PAPER_RULE: self.options.stop == "paper" and step < limit.paper and gap < limit.gap,
             FitStatus.UNSTABLE_PREDICTOR: self._unstable >= limit.patience,
