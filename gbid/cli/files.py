@@ -191,6 +191,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
             return draft_experiment(options, target, _asked_machine if options.ask else None, content)
         except UnansweredError as error:
             tell("\n".join(error.columns))
+            tell("`gbid init` drafts a gas bearing; for another machine: gbid new DIR --template own-recordings")
             if not options.ask:
                 raise
             for option, reason in error.reasons.items():

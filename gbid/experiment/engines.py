@@ -343,6 +343,10 @@ class DaskEngine:
             raise UsageError("Dask is not installed; install it with: pip install 'gbid[dask]'") from None
         self._is_ours = scheduler is None or isinstance(scheduler, str)
         if not (scheduler is None or isinstance(scheduler, str)):
+            if not isinstance(scheduler, Client):
+                raise UsageError(
+                    f"scheduler = {scheduler!r}; give its address, such as tcp://host:8786, or a Dask client"
+                )
             if scheduler.status != "running" or scheduler.asynchronous:
                 text = "is not connected" if scheduler.status != "running" else "is asynchronous"
                 raise UsageError(f"the Dask client {text}; give a running Client(...) without asynchronous=True")

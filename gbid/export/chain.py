@@ -184,14 +184,16 @@ class ChainOptions:
             raise UsageError(
                 "offsets, beyond and spikes belong to a machine without stacks; give limits, too", "limits"
             )
-        if self.limits is not None and self.beyond is None:
-            raise UsageError(
-                "limits without beyond: give the deviation of each input at which the watchdog acts", "beyond"
-            )
         if self.limits is None and self.units == ("", ""):
             object.__setattr__(self, "units", ("m", "m"))
+        missing = {}
+        if self.limits is not None and self.beyond is None:
+            missing["beyond"] = "the deviation of each input at which the watchdog acts"
         if "" in self.units:
-            raise UsageError('limits without units: give those of inputs and outputs, such as ("m", "A")', "units")
+            missing["units"] = 'those of inputs and outputs, such as ("m", "A")'
+        if missing:
+            text = f"limits without {' and '.join(missing)}: give {', and '.join(missing.values())}"
+            raise UsageError(text, next(iter(missing)))
         if self.stroke_m is not None:
             offset = self.stroke_m / 2 if self.offset_m is None else self.offset_m
             room = min(offset, self.stroke_m - offset)
@@ -770,13 +772,27 @@ def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point 
             f"controller {design.name!r}{where} is unstable by itself (a pole of magnitude {worst:.6g} in the z "
             "plane); a chain that fades in would run away: tune it with bounds that keep the controller stable"
         )
-    continuous = design.at() if point is None else design.at(*point)
-    fastest = float(np.abs(np.linalg.eigvals(continuous.A)).max(initial=0.0)) / (2 * np.pi)
-    if fastest >= 0.5 / design.sample_time:
-        raise UsageError(
-            f"controller {design.name!r}{where}: sample_time = {design.sample_time:g} s is too slow for its pole at "
-            f"{fastest:.4g} Hz; at most {0.5 / fastest:.3g} s, better a tenth of that"
-        )
+    if slow := too_slow_for(design.at() if point is None else design.at(*point), design.sample_time):
+        raise UsageError(f"controller {design.name!r}{where}: {slow}")
+
+
+def too_slow_for(law: LinearModel, sample_time: float) -> str:
+    """Return in words that a continuous controller has a pole beyond half the sampling frequency; else nothing.
+
+    Parameters
+    ----------
+    law : LinearModel
+        Controller in continuous time.
+    sample_time : float
+        Time between samples [s].
+    """
+    fastest = float(np.abs(np.linalg.eigvals(law.A)).max(initial=0.0)) / (2 * np.pi)
+    if fastest < 0.5 / sample_time:
+        return ""
+    return (
+        f"sample_time = {sample_time:g} s is too slow for its pole at {fastest:.4g} Hz; at most {0.5 / fastest:.3g} s, "
+        "better a tenth of that"
+    )
 
 
 def _sums(

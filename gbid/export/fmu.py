@@ -525,7 +525,10 @@ def _unit_controller(
     travel = None if plant.model is None else plant.model.machine.piezo_travel_m
     limits = limits if limits is not None or travel is None else travel / 2
     if limits is None:
-        raise UsageError(f"{path}: nobody said limits, the largest magnitude of each command; give them")
+        raise UsageError(
+            f"{path}: nobody said limits, the largest magnitude of each command; give limits=, or in an experiment the "
+            "keys limits, beyond and units of its section target"
+        )
     largest = np.atleast_1d(np.array(limits, float))
     if len(largest) not in (1, len(driven)):
         raise UsageError(f"{path}: {len(largest)} limits for {len(driven)} commands of controller {design.name!r}")

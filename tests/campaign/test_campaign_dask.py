@@ -92,6 +92,8 @@ def test_a_client_of_ones_own_stays_open(engine, tmp_path):
         make_engine("auto", 2, engine.client)
     closed = distributed.Client(engine.client.scheduler.address)
     closed.close()
+    with pytest.raises(UsageError, match="scheduler = 8786; give its address"):
+        make_engine(scheduler=8786)
     with pytest.raises(UsageError, match="is not connected"):
         make_engine(scheduler=closed)
 

@@ -80,7 +80,9 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
         ("--unit", ["--unit", "um"]),
         ("--pressure", ["--pressure", "5"]),
     ):
-        assert option in printed_by(capsys, "init", tmp_path / "a", tmp_path / "own", *flags, code=2).err
+        said = printed_by(capsys, "init", tmp_path / "a", tmp_path / "own", *flags, code=2).err
+        assert option in said
+        assert "for another machine: gbid new DIR --template own-recordings" in said
         flags += more
     flags += ["--moving-mass", "2.5", "--clearance", "40"]
     left_out = printed_by(capsys, "init", tmp_path / "a", tmp_path / "own", *flags).err

@@ -121,6 +121,19 @@ def test_results_of_such_controllers_leave_gbid(experiment, capsys):
     assert "No loop can be closed" not in page
 
 
+def test_a_sampled_design_says_that_no_target_can_run_it(experiment, capsys, tmp_path):
+    for file in experiment.parent.iterdir():
+        if file.suffix in (".py", ".csv"):
+            (tmp_path / file.name).write_text(file.read_text())
+    text = experiment.read_text().replace("lowpass_hz: 100", "lowpass_hz: 1000")
+    path = tmp_path / "masses.yaml"
+    path.write_text(text[: text.index("  plain:")] + text[text.index("target:") :])
+    (servo,) = json_of(capsys, "run", path, "--until", "tune")["tuning"]
+    refusal = "sample_time = 0.001 s is too slow for its pole at 1000 Hz; at most 0.0005 s, better a tenth of that"
+    assert any(refusal in note for note in servo["notes"])
+    assert refusal in printed_by(capsys, "export", path, "--to", "c", code=2).err
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -157,7 +157,8 @@ def test_limits_of_other_machines_have_no_default() -> None:
         chain_of(design, name="amb")
     with pytest.raises(UsageError, match="beyond has 2 numbers for 1 channels"):
         chain_of(design, name="amb", options=ChainOptions(limits=(1.0,), beyond=(1.0, 1.0), units=("m", "A")))
-    with pytest.raises(UsageError, match="limits without beyond"):
+    wanted = r"limits without beyond and units: give the deviation .*, and those of inputs"
+    with pytest.raises(UsageError, match=wanted):
         ChainOptions(limits=(1.0,))
     with pytest.raises(UsageError, match="limits without units: give those of inputs and outputs"):
         ChainOptions(limits=(1.0,), beyond=(1.0,))

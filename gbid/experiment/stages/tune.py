@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -41,6 +41,7 @@ from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.fit import fit_result, load_made_fit
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
+from gbid.export.chain import too_slow_for
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
@@ -331,6 +332,14 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
                 model, section.pareto, goals=without_cap(section, goals) if goals else None, **options
             )
             front = tuple(map(CappedDesign, others.caps, others.designs))
+    if section.design_for == "sampled":
+        if isinstance(structure, control.Scheduled):
+            laws = [control.controller_at(structure, result.gains, *point) for point in result.points]
+        else:
+            laws = [control.controller_model(structure, result.gains)]
+        slow = next(filter(None, (too_slow_for(law, options["sample_time"]) for law in laws)), "")
+        note = f"`gbid export --to c` refuses this controller: {slow}; or tune with a lower lowpass_hz"
+        result = replace(result, notes=(*result.notes, *([note] if slow else ())))
     channels: dict[str, Any] = {"inputs": section.inputs, "outputs": section.outputs, "name": name}
     points = result.points or None
     assessed = control.assess(model, structure, result.gains, points, **channels, **assess_options(experiment, section))
