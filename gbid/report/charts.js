@@ -69,6 +69,17 @@ const Charts = (() => {
     return d;
   }
 
+  // First index of each run of finite values, and the one after its last.
+  function runs(values) {
+    const found = [];
+    values.forEach((v, i) => {
+      if (!Number.isFinite(v)) return;
+      if (i === 0 || !Number.isFinite(values[i - 1])) found.push([i, i + 1]);
+      else found[found.length - 1][1] = i + 1;
+    });
+    return found;
+  }
+
   // Symbols that are told apart without colour: circle, square, triangle, diamond, cross.
   function symbol(parent, kind, x, y, className) {
     const r = 5;
@@ -134,8 +145,11 @@ const Charts = (() => {
     for (const zeta of spec.rays ?? []) ray(svg, plane, zeta, xAxis, yAxis, sx, sy);
     for (const s of lines) {
       if (s.low) {
-        const back = path(Array.from(s.x).reverse(), Array.from(s.low).reverse(), sx, sy).replace("M", "L");
-        node(plane, "path", { d: `${path(s.x, s.high, sx, sy)}${back}z`, class: `band s${s.style}` });
+        for (const [first, last] of runs(s.low)) {
+          const [x, low, high] = [s.x, s.low, s.high].map((values) => Array.from(values).slice(first, last));
+          const back = path(x.reverse(), low.reverse(), sx, sy).replace("M", "L");
+          node(plane, "path", { d: `${path(x.reverse(), high, sx, sy)}${back}z`, class: `band s${s.style}` });
+        }
       } else node(plane, "path", { d: path(s.x, s.y, sx, sy), class: `line s${s.style}` });
     }
     for (const s of points) {

@@ -440,7 +440,8 @@ def plot_recording(
     figure, axes = panels(ax, len(names), 1, size=(TWO_COLUMNS, 0.6 + 1.2 * len(names)), sharex=True)
     time = recording.time[shown]
     for panel, name in zip(axes, names, strict=True):
-        values, channels = recording.signal(name)[shown], recording.channels[name]
+        values = recording.signal(name, gaps=True, irregular=True)[shown]  # a line ends at a missing sample
+        channels = recording.channels[name]
         factor, unit = unit_label(recording.units[name])
         for i, channel in enumerate(channels):
             panel.plot(time, factor * values[:, i], label=channel, **series(i, marker=None, linewidth=0.9))

@@ -294,8 +294,8 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
                 "measured": packed(measured[part]),
                 "simulated": packed(simulated[part]),
                 "error_n": len(edges),
-                "error_low": packed(np.minimum.reduceat(error, edges)),
-                "error_high": packed(np.maximum.reduceat(error, edges)),
+                "error_low": packed(np.fmin.reduceat(error, edges)),
+                "error_high": packed(np.fmax.reduceat(error, edges)),
             }
         )
     return {
@@ -309,10 +309,11 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
 
 
 def packed(values: FloatArray) -> dict[str, Any]:
-    """Return a curve as base64 of little-endian 16-bit integers, and the factor from these to the values."""
-    largest = float(np.abs(values).max(initial=0.0))
+    """Return a curve as base64 of little-endian 16-bit integers, -32768 for NaN, and their factor to values."""
+    missing = np.isnan(values)
+    largest = float(np.abs(values[~missing]).max(initial=0.0))
     scale = largest / _LARGEST if largest > 0 else 1.0
-    integers = np.round(values / scale).astype("<i2")
+    integers = np.where(missing, -_LARGEST - 1, np.round(values / scale)).astype("<i2")
     return {"scale": scale, "values": b64encode(integers.tobytes()).decode("ascii")}
 
 

@@ -17,6 +17,7 @@ from gbid.core.extras import Pictured, data_frame
 from gbid.core.hdf5 import Stored
 from gbid.core.option_types import Count, CountOrZero
 from gbid.identify import FitResult
+from gbid.identify.data import select
 from gbid.recording import Recording
 from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_clock_of, simulator, validation_data
 
@@ -323,7 +324,7 @@ class Validation(Brief, Pictured):
     infinity_norm : (n_outputs,) array
         Largest deviation, in the units of the outputs.
     measured, simulated : (n_samples, n_outputs) array
-        Outputs, also at samples that do not count for the figures above.
+        Outputs, also at samples that do not count for the figures above; measured ones are NaN where they are missing.
     inputs : (n_samples, n_inputs) array
         Inputs of the simulation.
     time : (n_samples,) array
@@ -415,7 +416,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         fitted_to=result.recordings,
         fit_percent=percent,
         infinity_norm=largest,
-        measured=data.outputs.T,
+        measured=select(recording, result.options.outputs, gaps=True, irregular=True)[0],
         simulated=simulated.T,
         inputs=data.inputs.T,
         time=recording.time,

@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from gbid import report
 from gbid.control import iso_zone, p_controller, sensitivities, sensitivity_zones
 from gbid.core.errors import UsageError
-from gbid.identify import bode, fit, measured_response
+from gbid.identify import bode, fit, load_fit, measured_response
 from gbid.lpv import load_model
 from gbid.lpv.model import Domain
 from gbid.recording import Recording, load_recording
 from gbid.structure import LinearModel, evaluate
+from gbid.validate import cross_validate
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +147,11 @@ def test_a_bode_diagram_over_a_recording_with_a_gap(tmp_path, monkeypatch):
     )
     assert gbid("run", path) == 0
     recording = load_recording(tmp_path / "results" / "spring" / "recordings" / "run2.h5")
+    validation = cross_validate(load_fit(tmp_path / "results" / "spring" / "fits" / "spring" / "run1.h5"), recording)
+    assert np.isnan(validation.measured[100:160, 0]).all()  # not the straight line that the simulation starts from
+    assert np.isfinite(validation.fit_percent).all()
+    position = recording.plot()[1].lines[0].get_ydata()
+    np.testing.assert_array_equal(np.isnan(position), np.isnan(recording.signals["y"][:, 0]))
     expected = measured_response(recording[160:], "u", "y")  # the longer of its two parts
     np.testing.assert_array_equal(drawn[0]["measured"].response, expected.response)
     assert drawn[0]["units"] == {"u": "V", "y": "um"}
