@@ -15,7 +15,7 @@ from gbid.core.option_types import Count, Names, check_options
 from gbid.discretise import Hold
 from gbid.structure.delay import with_filters
 from gbid.structure.linear import LoopParts, as_names
-from gbid.structure.parameter import Parameter, Values
+from gbid.structure.parameter import Parameter, Values, once
 
 AXES = ("x", "y")
 PAIRS = ("xx", "xy", "yx", "yy")
@@ -90,6 +90,7 @@ class RotorBearing(Brief):
             object.__setattr__(self, "pade_order", 1)
 
     @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness k, damping d and input gain b per unit mass, delays tau, stiffening, disturbance gains bd, bp."""
         coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
@@ -179,6 +180,7 @@ class PiezoPair(Brief):
         check_options(self, self.name)
 
     @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """Poles p1 and p2, or natural frequency omega and damping factor zeta, and gain kappa of each axis."""
         parameters = []
@@ -265,6 +267,7 @@ class Plant(Brief):
             raise UsageError(f"{self.name}: the actuators' disturbance gain must be 'none' in series")
 
     @property
+    @once
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the actuators, then those of the rotor-bearing."""
         return (*self.actuators.parameters, *self.bearing.parameters)

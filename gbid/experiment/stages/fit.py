@@ -629,7 +629,7 @@ def fit_document(result: identify.FitResult, truth: Mapping[str, float], true_mo
             for output, p in zip(outputs, result.whiteness, strict=True)
         ],
         "multi_start": None if starts is None else {**asdict(starts), "spread": finite_or_none(starts.spread)},
-        "options": asdict(result.options),
+        "options": dict(vars(result.options)),
         "parameters": parameter_rows(result, truth),
         "modes": mode_rows(result, true_model),
         "static_gain": gain_rows(result, true_model),
