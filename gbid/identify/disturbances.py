@@ -136,11 +136,12 @@ class Disturbances:
             units[term.name] = f"{unit or 1}/s{seconds}" if term.power else unit
         return {**units, **dict.fromkeys(map(self.gain_name, self.walking), "1/s")}
 
-    def matrix(self, coefficients: Sequence[ca.SX]) -> ca.SX:
+    def matrix(self, coefficients: Sequence[ca.SX], n_outputs: int) -> ca.SX:
         """Return the matrix from regressors to outputs, (n_outputs, n_columns), for coefficients of `terms`."""
-        matrix = ca.SX(len(self.outputs), self.n_columns)
+        matrix = ca.SX(n_outputs, self.n_columns)
         for term, coefficient in zip(self.terms, coefficients, strict=True):
-            matrix[term.output, term.column] = coefficient
+            if term.output < n_outputs:  # recordings with more outputs than the structure are refused later
+                matrix[term.output, term.column] = coefficient
         return matrix
 
     @cached_property

@@ -479,7 +479,7 @@ def _built(
     # what acts at once: columns of prompt inputs, of a sampled controller, of errors; what no input drives is zero
     acting = ca.horzcat(m.B[:, prompt], *law[4:5], *[K] * feeds_back)
     n_driven = sum(holds[i] == "foh" for i in prompt) + sum(3 if holds[i] == "foh" else 2 for i in delayed)
-    feed = ca.horzcat(m.D[:, prompt], ca.SX(n_y, n_driven), disturbances.matrix(coefficients))
+    feed = ca.horzcat(m.D[:, prompt], ca.SX(n_y, n_driven), disturbances.matrix(coefficients, n_y))
     matrices = [m.A, acting, m.C, feed, m.B_delayed[:, delayed], m.delay, x0, *law]
     seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)

@@ -535,6 +535,9 @@ def test_a_structure_of_ones_own_states_its_starts_or_has_long_recordings():
 def test_signals_of_the_wrong_width_are_refused():
     with pytest.raises(UsageError, match="structure 'every' has 2 inputs and 2 outputs; the recordings give 1"):
         fit(EVERY, GOOD, start=EVERY_AT)
+    three = Recording({"u": levels(500, 2), "y": levels(500, 3, seed=1)}, H)
+    with pytest.raises(UsageError, match="has 2 inputs and 2 outputs; the recordings give 2"):
+        fit(EVERY, three, start=EVERY_AT, trend="offset")
     one = Recording({"u": levels(500, 1), "p": levels(500, 1, seed=1)}, TS)
     for structure in (RotorBearing(), PiezoPair(), Plant()):
         with pytest.raises(UsageError, match=r"has 2 inputs and . outputs; the recordings give 1 and 1"):

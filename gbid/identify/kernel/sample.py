@@ -154,7 +154,7 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     for walk, output in enumerate(walking):
         y[output] += eq.x[n - len(walking) + walk]
     if eq.disturbances.n_columns:
-        y = y + eq.disturbances.matrix(ca.vertsplit(eq.coefficients)) @ trend
+        y = y + eq.disturbances.matrix(ca.vertsplit(eq.coefficients), n_y) @ trend
     both = ca.vertcat(eq.x, eq.theta)
     y, slopes = ca.substitute([ca.densify(y), ca.jacobian(y, both)], [eq.x], [at])
     e_value = measured - y if feeds_back else ca.SX.zeros(n_y)
