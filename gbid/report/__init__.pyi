@@ -37,14 +37,8 @@ from .loop_pictures import (
     sensitivity_curves as sensitivity_curves,
 )
 from .measured_pictures import (
-    ActuatorParameters as ActuatorParameters,
-    Histogram as Histogram,
     PiezoStaircase as PiezoStaircase,
-    StaticSweep as StaticSweep,
-    crossval_data as crossval_data,
-    nominal_data as nominal_data,
     piezo_data as piezo_data,
-    piezo_staircase_data as piezo_staircase_data,
     plot_actuator_parameters as plot_actuator_parameters,
     plot_fit_histogram as plot_fit_histogram,
     plot_piezo_hysteresis as plot_piezo_hysteresis,
@@ -53,10 +47,6 @@ from .measured_pictures import (
     plot_residuals as plot_residuals,
     plot_response as plot_response,
     plot_static_map as plot_static_map,
-    residuals_data as residuals_data,
-    residuals_figure as residuals_figure,
-    response_figure as response_figure,
-    static_map_data as static_map_data,
 )
 from .model_pictures import (
     bode_data as bode_data,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,7 +11,6 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gbid.characterise import PiezoCurve, StaticMap
@@ -33,8 +32,6 @@ from gbid.report.canvas import (
     ink,
     legend_above,
     letter,
-    new_figure,
-    own_style,
     panels,
     plain_label,
     series,
@@ -49,33 +46,14 @@ from gbid.validate import NominalActuator, ResidualTest, Validation, ValidationS
 _ROWS = (("kappa", "\\kappa_{a,%s}", "m/m", 1.0), ("p1", "p_{1,%s}", "rad/s", 1.0), ("p2", "p_{2,%s}", "krad/s", 1e-3))
 
 
-@dataclass(frozen=True, eq=False)
-class ActuatorParameters(Brief):
-    """Parameters of the actuators for each recording.
-
-    Attributes
-    ----------
-    values : dict of str to (n,) array
-        Values by name (``kappa_x``, ``p1_x``, ``p2_x``, ``kappa_y``, ...), in SI units.
-    outliers : dict of str to (n,) boolean array
-        Masks of the outliers by name; a missing name has none.
-    nominal : int, optional
-        Index of the recording of the nominal model.
-    """
-
-    values: Mapping[str, FloatArray]
-    outliers: Mapping[str, BoolArray]
-    nominal: int | None = None
-
-
 @styled
-def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_actuator_parameters(nominal: NominalActuator, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw gains and poles of the actuators over the recordings, with marks for outliers and nominal model (Fig. 8).
 
     Parameters
     ----------
-    data : ActuatorParameters
-        Data of the figure.
+    nominal : NominalActuator
+        Result of `gbid.nominal_actuator`, with the values of all recordings.
     ax : sequence of six matplotlib Axes, optional
         Axes by rows: gain, slow pole, fast pole; columns: x, y. A new figure when left out.
 
@@ -85,18 +63,18 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
         The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 3, 2, size=(TWO_COLUMNS, 5.0), sharex=True)
+    off = {(o.model, o.parameter) for o in nominal.outliers}
+    number, k = np.arange(1, len(nominal.models) + 1), nominal.models.index(nominal.name)
     for i, (name, letters, unit, scale) in enumerate(_ROWS):
         for j, axis in enumerate("xy"):
-            panel, values = axes[2 * i + j], scale * np.asarray(data.values[f"{name}_{axis}"], float)
-            number = np.arange(1, len(values) + 1)
-            out = np.asarray(data.outliers.get(f"{name}_{axis}", np.zeros(len(values), bool)))
+            panel, parameter = axes[2 * i + j], f"{name}_{axis}"
+            values = scale * nominal.values[:, nominal.parameter_names.index(parameter)]
+            out = np.array([(model, parameter) in off for model in nominal.models])
             panel.plot(number[~out], values[~out], "o", color=BLUE, markersize=3, label="estimates")
             panel.plot(number[out], values[out], "x", color=RED, markersize=5, markeredgewidth=1.2, label="outliers")
-            if data.nominal is not None:
-                k = data.nominal
-                panel.axhline(values[k], color=GREY, linewidth=0.9, linestyle=(0, (5, 1.5)), zorder=0)
-                ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.1}
-                panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
+            panel.axhline(values[k], color=GREY, linewidth=0.9, linestyle=(0, (5, 1.5)), zorder=0)
+            ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.1}
+            panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
             panel.set_ylabel(f"${letters % axis}$ [{unit}]")
             panel.ticklabel_format(axis="y", useOffset=False)
     for panel in axes[4:]:
@@ -107,109 +85,42 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
     return axes.reshape(3, 2)
 
 
-def nominal_data(nominal: NominalActuator) -> ActuatorParameters:
-    """Return the parameters of the actuators for `plot_actuator_parameters` (Fig. 8).
-
-    Parameters
-    ----------
-    nominal : NominalActuator
-        Choice of the nominal actuators, with the values of all recordings.
-
-    Returns
-    -------
-    ActuatorParameters
-        Parameters of all recordings.
-    """
-    values = dict(zip(nominal.parameter_names, nominal.values.T, strict=True))
-    off = {(o.model, o.parameter) for o in nominal.outliers}
-    outliers = {name: np.array([(model, name) in off for model in nominal.models]) for name in values}
-    return ActuatorParameters(values, outliers, nominal.models.index(nominal.name))
-
-
 # ---- Histograms of the cross-validation fit (paper, Figs. 9 and 10).
 
 
-@dataclass(frozen=True, eq=False)
-class Histogram(Brief):
-    """Histogram of the fit of one output.
-
-    Attributes
-    ----------
-    label : str
-        Title of the panel.
-    edges : (n_bins + 1,) array
-        Edges of the bins [%].
-    counts : (n_bins,) integer array
-        Number of values in each bin.
-    mean, std : float
-        Mean and standard deviation [%]; the latter with n - 1 degrees of freedom.
-    """
-
-    label: str
-    edges: FloatArray
-    counts: IntArray
-    mean: float
-    std: float
-
-    @property
-    def n(self) -> int:
-        """Number of values."""
-        return int(self.counts.sum())
-
-
 @styled
-def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_fit_histogram(summary: ValidationSummary, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw histograms of the cross-validation fit with mean and standard deviation (Figs. 9, 10).
 
     Parameters
     ----------
-    data : sequence of Histogram
-        Histograms of `crossval_data`.
+    summary : ValidationSummary
+        Summary of a cross-validation. The titles state the number of pairs below the first bin.
     ax : sequence of matplotlib Axes, optional
-        Axes for each histogram; a new figure when left out.
+        Axes for each output; a new figure when left out.
 
     Returns
     -------
-    (n_histograms,) array of matplotlib Axes
+    (n_outputs,) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
     """
-    _figure, axes = panels(ax, 1, len(data), size=(TWO_COLUMNS, 2.4), sharey=True)
-    for panel, histogram in zip(axes, data, strict=True):
-        panel.stairs(histogram.counts, histogram.edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
-        panel.axvline(histogram.mean, color=RED, linestyle=(0, (5, 1.5)))
-        decimals = 2 if histogram.std >= 0.01 else 4
-        word = f"mean {histogram.mean:.2f} %\nstd {histogram.std:.{decimals}f} %\nn = {histogram.n}"
-        left = histogram.mean > histogram.edges.mean()
-        place: dict[str, Any] = {"x": 0.03, "ha": "left"} if left else {"x": 0.97, "ha": "right"}
+    _figure, axes = panels(ax, 1, len(summary.output_names), size=(TWO_COLUMNS, 2.4), sharey=True)
+    for j, (panel, name) in enumerate(zip(axes, summary.output_names, strict=True)):
+        edges, counts, mean, std = summary.edges[j], summary.counts[j], summary.mean[j], summary.std[j]
+        panel.stairs(counts, edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
+        panel.axvline(mean, color=RED, linestyle=(0, (5, 1.5)))
+        decimals = 2 if std >= 0.01 else 4
+        word = f"mean {mean:.2f} %\nstd {std:.{decimals}f} %\nn = {counts.sum()}"
+        place: dict[str, Any] = {"x": 0.03, "ha": "left"} if mean > edges.mean() else {"x": 0.97, "ha": "right"}
         panel.text(y=0.96, s=word, va="top", fontsize=8, transform=panel.transAxes, **place)
-        panel.set_title(histogram.label, loc="right", pad=4)
+        more = f", {summary.below[j]} more to the left" if summary.below[j] else ""
+        panel.set_title(f"{symbol(name)}{more}", loc="right", pad=4)
         panel.xaxis.set_major_locator(MaxNLocator(5))
         panel.ticklabel_format(axis="x", useOffset=False)
-        panel.set(xlabel="fit [%]", ylim=(0, 1.35 * max(h.counts.max() for h in data)))
+        panel.set(xlabel="fit [%]", ylim=(0, 1.35 * summary.counts.max()))
     axes[0].set_ylabel("pairs")
     letter(axes)
     return axes
-
-
-def crossval_data(summary: ValidationSummary) -> list[Histogram]:
-    """Return the histograms of a cross-validation for `plot_fit_histogram` (Figs. 9, 10).
-
-    Parameters
-    ----------
-    summary : ValidationSummary
-        Summary of the cross-validation.
-
-    Returns
-    -------
-    list of Histogram
-        Histogram of each output; its label states the number of pairs below the first bin.
-    """
-    histograms = []
-    for j, name in enumerate(summary.output_names):
-        label = f"{symbol(name)}" + (f", {summary.below[j]} more to the left" if summary.below[j] else "")
-        edges, counts = (np.asarray(values[j]) for values in (summary.edges, summary.counts))
-        histograms.append(Histogram(label, edges, counts, float(summary.mean[j]), float(summary.std[j])))
-    return histograms
 
 
 # ---- Staircases and hysteresis of single piezos, with and without PD control (paper, Figs. A.28 and A.29).
@@ -221,79 +132,23 @@ class PiezoStaircase(Brief):
 
     Attributes
     ----------
-    label : str
-        Label of the curves, as ``"open loop"`` or ``"PD control"``.
+    curve : PiezoCurve
+        Its characterisation.
     time : (n,) array
         Time [s].
-    command : (n,) array
-        Voltage [V] or reference position [m].
-    command_unit : {"V", "m"}
-        Unit of the command.
-    position : (n,) array
-        Position [m].
-    steps : (n_steps,) integer array
-        Samples at which the command changes, in ascending order.
+    command, position : (n,) array
+        Voltage [V] or reference position [m], and position [m].
     """
 
-    label: str
+    curve: PiezoCurve
     time: FloatArray
     command: FloatArray
-    command_unit: str
     position: FloatArray
-    steps: IntArray
 
-    def plateaus(self) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return command and position [m] as means over the last tenth of each step, and a mask of rising steps."""
-        ends = [*self.steps[1:], len(self.time)]
-        parts = [slice(max(b, e - max(1, (e - b) // 10)), e) for b, e in zip(self.steps, ends, strict=True)]
-        command = np.array([self.command[part].mean() for part in parts])
-        position = np.array([self.position[part].mean() for part in parts])
-        return command, position, np.diff(command, prepend=self.command[max(self.steps[0] - 1, 0)]) > 0
-
-    def single_steps(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Return time [s] and position [m] of each step, both from its start; falling steps are mirrored."""
-        ends = [*self.steps[1:], len(self.time)]
-        steps = []
-        for begin, end in zip(self.steps, ends, strict=True):
-            before = self.position[max(begin - 1, 0)]
-            sign = np.sign(self.command[begin] - self.command[max(begin - 1, 0)]) or 1.0
-            steps.append((self.time[begin:end] - self.time[begin], sign * (self.position[begin:end] - before)))
-        return steps
-
-
-def piezo_staircase_data(
-    label: str, time: npt.ArrayLike, command: npt.ArrayLike, position: npt.ArrayLike, command_unit: str = "V"
-) -> PiezoStaircase:
-    """Return a staircase with its steps, at which the command changes.
-
-    Parameters
-    ----------
-    label : str
-        Label of the curves.
-    time, command, position : (n,) array
-        Time [s], command [`command_unit`] and position [m].
-    command_unit : {"V", "m"}
-        Unit of the command.
-
-    Returns
-    -------
-    PiezoStaircase
-        The staircase.
-
-    Raises
-    ------
-    UsageError
-        When the command never changes, or when the lengths differ.
-    """
-    t, c, y = (np.asarray(values, float) for values in (time, command, position))
-    if not t.shape == c.shape == y.shape or t.ndim != 1:
-        raise UsageError(
-            f"{label}: time, command and position have shapes {t.shape}, {c.shape}, {y.shape}; give one each"
-        )
-    steps = np.flatnonzero(np.diff(c)) + 1
-    if not len(steps):
-        raise UsageError(f"{label}: the command never changes, so there is no staircase")
-    return PiezoStaircase(label, t, c, command_unit, y, steps)
+    @property
+    def label(self) -> str:
+        """Label of the curves."""
+        return "open loop" if self.curve.units[0] == "V" else "PD control"
 
 
 @styled
@@ -312,22 +167,22 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
     (n_units + 1,) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
     """
-    units = list(dict.fromkeys(staircase.command_unit for staircase in data))
+    units = list(dict.fromkeys(staircase.curve.units[0] for staircase in data))
     _figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
     for k, staircase in enumerate(data):
-        panel = axes[units.index(staircase.command_unit)]
-        scale, unit = unit_label(staircase.command_unit)
-        command, position, rising = staircase.plateaus()
+        curve = staircase.curve
+        panel, (scale, unit) = axes[units.index(curve.units[0])], unit_label(curve.units[0])
+        command, position, rising = scale * curve.command, 1e6 * curve.position, curve.direction >= 0
         line = series(k, marker=None, linewidth=0.9)
-        panel.plot(scale * command, 1e6 * position, label=plain_label(staircase.label), **line)
+        panel.plot(command, position, label=staircase.label, **line)
         for direction, marker in ((rising, "^"), (~rising, "v")):
             look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
-            panel.plot(scale * command[direction], 1e6 * position[direction], **look)
+            panel.plot(command[direction], position[direction], **look)
         panel.set(xlabel=f"command [{unit}]", ylabel="piezo position [µm]")
         panel.legend(loc="upper left", fontsize=7.5)
         panel.set_title("△ rising  ▽ falling", loc="right", pad=4, fontsize=7.5)
         share = (staircase.command - staircase.command.min()) / (np.ptp(staircase.command) or 1.0)
-        axes[-1].plot(staircase.time, share, label=plain_label(staircase.label), **line)
+        axes[-1].plot(staircase.time, share, label=staircase.label, **line)
     axes[-1].set(xlabel="time [s]", ylabel="command [share of its range]")
     letter(axes)
     return axes
@@ -351,14 +206,16 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     """
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
     for k, staircase in enumerate(data):
-        rising = staircase.plateaus()[2]
+        curve = staircase.curve
         color = (ink(), RED)[k] if k < 2 else series(k)["color"]
         labelled: set[bool] = set()
-        for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
-            word = None if bool(up) in labelled else f"{plain_label(staircase.label)}, {'up' if up else 'down'}"
-            labelled.add(bool(up))
+        for step, response in zip(curve.step, curve.responses.T, strict=True):
+            up = bool(step >= 0)
+            word = None if up in labelled else f"{staircase.label}, {'up' if up else 'down'}"
+            labelled.add(up)
             style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
-            axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)
+            position = 1e6 * (response if up else -response)
+            axes[0].plot(1e3 * curve.response_time, position, color=color, label=word, **style)
         axes[1].plot(staircase.time, 1e6 * staircase.position, color=color)
     axes[0].set(xlabel="time from the step [ms]", ylabel="step of the position [µm]")
     axes[1].set(xlabel="time [s]", ylabel="piezo position [µm]")
@@ -391,9 +248,7 @@ def piezo_data(
     position, _, channel = curve.channel.rpartition("_")
     source = recording.channels[command].index(command_channel or channel)
     y = recording.signal(position)[:, recording.channels[position].index(channel)]
-    label = "open loop" if curve.units[0] == "V" else "PD control"
-    x = recording.signal(command)[:, source]
-    return piezo_staircase_data(label, recording.time, x, y, curve.units[0])
+    return PiezoStaircase(curve, recording.time, recording.signal(command)[:, source], y)
 
 
 # ---- Signals of a recording over time, a panel for each signal.
@@ -458,102 +313,14 @@ def plot_recording(
 # ---- Figure of a residual test: autocorrelations, and cross-correlations with the inputs (paper, Sec. 3.8).
 
 _INSIDE, _OUTSIDE, _BAND = "#4d4d4d", "#d55e00", "#dbe9f4"
-_ROW_INCHES, _FRAME_INCHES, _COLUMN_INCHES = 1.3, 1.25, 2.1
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualPanel(Brief):
-    """Correlation of a residual with itself or with an input.
-
-    Attributes
-    ----------
-    output : str
-        Name of the output of the residual.
-    against : str
-        Name of the input; the name of the output for an autocorrelation.
-    lags : (n,) integer array
-        Lags of the residual behind the input [samples]. Autocorrelations start at 1, because their value at 0 is 1.
-    time : (n,) array
-        Lags [ms].
-    correlation : (n,) array
-        Correlation coefficients.
-    band : float
-        Limit of the absolute value for 99 % of the values of white, or independent, residuals.
-    """
-
-    output: str
-    against: str
-    lags: IntArray
-    time: FloatArray
-    correlation: FloatArray
-    band: float
-
-    @property
-    def outside(self) -> BoolArray:
-        """Mask of the values outside the band."""
-        return np.asarray(np.abs(self.correlation) > self.band)
-
-
-def residuals_data(test: ResidualTest) -> list[list[ResidualPanel]]:
-    """Return the correlations of a residual test for `plot_residuals`.
-
-    Parameters
-    ----------
-    test : ResidualTest
-        Result of `gbid.check_residuals`.
-
-    Returns
-    -------
-    list of list of ResidualPanel
-        Row for each output: autocorrelation, then cross-correlation with each input.
-    """
-    milliseconds = 1e3 * float(test.time[-1]) / max(int(test.lags[-1]), 1)
-
-    def panel(output: str, against: str, lags: IntArray, correlation: FloatArray, band: float) -> ResidualPanel:
-        return ResidualPanel(output, against, lags, np.asarray(milliseconds * lags), correlation, float(band))
-
-    return [
-        [
-            panel(output, output, test.lags[1:], test.autocorrelation[j, 1:], test.band),
-            *(
-                panel(output, source, test.cross_lags, test.crosscorrelation[j, i], test.cross_band[j, i])
-                for i, source in enumerate(test.input_names)
-            ),
-        ]
-        for j, output in enumerate(test.output_names)
-    ]
-
-
-def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
-    """Draw the correlations of a residual test, with a row for each output.
-
-    Parameters
-    ----------
-    test : ResidualTest
-        Result of `gbid.check_residuals`.
-    title : str, optional
-        Title of the figure; the name of the recording when left out.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Figure with lags in samples below and in milliseconds above. The band of 99 % is shaded.
-    """
-    with own_style():
-        n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
-        size = (_COLUMN_INCHES * max(n_columns, 2), _FRAME_INCHES + _ROW_INCHES * n_rows)
-        figure = new_figure(size)
-        axes = figure.subplots(n_rows, n_columns, sharex="col", squeeze=False)
-        plot_residuals(test, [list(row) for row in axes])
-        wide = "shaded: 99 % of the values if the residuals are white,", "or independent of the input"
-        figure.supxlabel((" " if n_columns > 2 else "\n").join(wide), fontsize=8)
-        figure.suptitle(f"residuals on {plain_label(test.recording)}" if title is None else title, fontsize=10)
-    return figure
+_ROW_INCHES, _FRAME_INCHES, _NARROWEST = 1.3, 1.25, 4.2
 
 
 @styled
-def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = None) -> npt.NDArray[np.object_]:
-    """Draw the correlations of a residual test with the band of white residuals.
+def plot_residuals(
+    test: ResidualTest, ax: Axes | npt.ArrayLike | None = None, *, title: str | None = None
+) -> npt.NDArray[np.object_]:
+    """Draw the correlations of a residual test with the band of white residuals, lags in samples and milliseconds.
 
     Parameters
     ----------
@@ -562,6 +329,8 @@ def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = Non
     ax : array of matplotlib Axes, optional
         Row of axes for each output: autocorrelation, then cross-correlation with each input. A new figure with a title
         when left out.
+    title : str, optional
+        Title of the new figure; the name of the recording when left out.
 
     Returns
     -------
@@ -573,40 +342,43 @@ def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = Non
     UsageError
         When there are too few axes.
     """
-    if ax is None:
-        n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
-        return np.array(residuals_figure(test).axes[: n_rows * n_columns], dtype=object).reshape(n_rows, n_columns)
-    axes, rows = ax, residuals_data(test)
-    if len(axes) < len(rows) or any(len(row) < len(tests) for row, tests in zip(axes, rows, strict=False)):
-        raise UsageError(f"residuals need {len(rows)} rows of {len(rows[0])} axes")
-    for j, tests in enumerate(rows):
-        for i, panel in enumerate(tests):
-            _plot_panel(panel, axes[j][i])
-        white = "white" if test.white[j] else "not white"
-        _say(axes[j][0], f"{white}, {probability(test.p_white[j])}")
-        for panel_ax, source, p in zip(axes[j][1:], test.input_names, test.p_independent[j], strict=False):
-            _say(panel_ax, f"{'follow' if source in test.follows[j] else 'independent'}, {probability(p)}")
-        axes[j][0].set_ylabel(symbol(tests[0].output))
-    for i, panel in enumerate(rows[0]):
-        scale = float(panel.time[-1] / panel.lags[-1])
-        above = axes[0][i].secondary_xaxis(
-            "top", functions=(partial(np.multiply, scale), partial(np.multiply, 1 / scale))
-        )
+    n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
+    size = (_NARROWEST, _FRAME_INCHES + _ROW_INCHES * n_rows)
+    figure, axes = panels(ax, n_rows, n_columns, size=size, sharex="col")
+    axes = axes.reshape(n_rows, n_columns)
+    for j, (row, output) in enumerate(zip(axes, test.output_names, strict=True)):
+        _plot_correlation(row[0], test.lags[1:], test.autocorrelation[j, 1:], test.band)  # at lag 0 it is one
+        _say(row[0], f"{'white' if test.white[j] else 'not white'}, {probability(test.p_white[j])}")
+        row[0].set_ylabel(symbol(output))
+        for i, (panel, source) in enumerate(zip(row[1:], test.input_names, strict=True)):
+            _plot_correlation(panel, test.cross_lags, test.crosscorrelation[j, i], float(test.cross_band[j, i]))
+            kind = "follow" if source in test.follows[j] else "independent"
+            _say(panel, f"{kind}, {probability(test.p_independent[j, i])}")
+    milliseconds = 1e3 * float(test.time[-1]) / max(int(test.lags[-1]), 1)
+    scales = partial(np.multiply, milliseconds), partial(np.multiply, 1 / milliseconds)
+    titles = ["autocorrelation", *(f"correlation with {symbol(source)}" for source in test.input_names)]
+    for top, bottom, heading in zip(axes[0], axes[-1], titles, strict=True):
+        above = top.secondary_xaxis("top", functions=scales)
         above.set_xlabel("lag [ms]", fontsize=8)
         above.tick_params(labelsize=7.5)
-        axes[0][i].set_title("autocorrelation" if i == 0 else f"correlation with {symbol(panel.against)}", pad=8)
-        axes[len(rows) - 1][i].set_xlabel("lag [samples]")
-    return np.array([list(row)[: len(rows[0])] for row in axes[: len(rows)]], dtype=object)
+        top.set_title(heading, pad=8)
+        bottom.set_xlabel("lag [samples]")
+    if ax is None:
+        words = "shaded: 99 % of the values if the residuals are white,", "or independent of the input"
+        figure.supxlabel((" " if n_columns > 2 else "\n").join(words), fontsize=8)
+        figure.suptitle(f"residuals on {plain_label(test.recording)}" if title is None else title, fontsize=10)
+    return axes
 
 
-def _plot_panel(panel: ResidualPanel, ax: Axes) -> None:
+def _plot_correlation(ax: Axes, lags: IntArray, correlation: FloatArray, band: float) -> None:
     """Draw bars from zero; those outside the band have another colour and width."""
-    ax.axhspan(-panel.band, panel.band, color=_BAND, linewidth=0)
+    ax.axhspan(-band, band, color=_BAND, linewidth=0)
     ax.axhline(0.0, color=_INSIDE, linewidth=0.6)
-    for chosen, color, linewidth in ((~panel.outside, _INSIDE, 0.9), (panel.outside, _OUTSIDE, 1.5)):
-        ax.vlines(panel.lags[chosen], 0.0, panel.correlation[chosen], color=color, linewidth=linewidth)
-    edge = max(2.0 * panel.band, 1.15 * float(np.abs(panel.correlation).max()))
-    ax.set(xlim=(panel.lags[0] - 1, panel.lags[-1] + 1), ylim=(-edge, 1.3 * edge))  # room for the text above
+    outside = np.abs(correlation) > band
+    for chosen, color, linewidth in ((~outside, _INSIDE, 0.9), (outside, _OUTSIDE, 1.5)):
+        ax.vlines(lags[chosen], 0.0, correlation[chosen], color=color, linewidth=linewidth)
+    edge = max(2.0 * band, 1.15 * float(np.abs(correlation).max()))
+    ax.set(xlim=(lags[0] - 1, lags[-1] + 1), ylim=(-edge, 1.3 * edge))  # room for the text above
 
 
 def _say(ax: Axes, text: str) -> None:
@@ -623,37 +395,6 @@ _SIMULATED: dict[str, Any] = {"color": "#0072b2", "linewidth": 1.3, "linestyle":
 _PANEL_INCHES, _FRAME_INCHES_RESPONSE = 1.35, 0.95
 
 
-def response_figure(
-    validation: Validation, *, from_s: float | None = None, to_s: float | None = None, title: str | None = None
-) -> Figure:
-    """Draw measured and simulated outputs, with the inputs below (Fig. 7).
-
-    Parameters
-    ----------
-    validation : Validation
-        Result of `gbid.cross_validate`.
-    from_s, to_s : float, optional
-        Start and end of the part shown [s]; the whole recording when left out.
-    title : str, optional
-        Title of the figure; operating point and names of the recordings when left out.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Figure with a panel for each output, and below them panels for the inputs.
-
-    Raises
-    ------
-    UsageError
-        When the part shown has fewer than two samples.
-    """
-    axes = plot_response(validation, from_s=from_s, to_s=to_s)
-    figure: Figure = axes[0].figure
-    figure.suptitle(_title(validation) if title is None else title, fontsize=10)
-    figure.align_ylabels(list(axes))
-    return figure
-
-
 @styled
 def plot_response(
     validation: Validation,
@@ -661,17 +402,20 @@ def plot_response(
     *,
     from_s: float | None = None,
     to_s: float | None = None,
+    title: str | None = None,
 ) -> npt.NDArray[np.object_]:
-    """Draw measured and simulated outputs, with the inputs below.
+    """Draw measured and simulated outputs, with the inputs below (Fig. 7).
 
     Parameters
     ----------
     validation : Validation
         Result of `gbid.cross_validate`.
     ax : array of matplotlib Axes, optional
-        Axes for each output. Further axes, if given, show the inputs. A new figure when left out.
+        Axes for each output. Further axes, if given, show the inputs. A new figure with a title when left out.
     from_s, to_s : float, optional
         Start and end of the part shown [s]; the whole recording when left out.
+    title : str, optional
+        Title of the new figure; operating point and names of the recordings when left out.
 
     Returns
     -------
@@ -691,7 +435,7 @@ def plot_response(
     if ax is not None and np.size(np.array(ax, dtype=object)) < n_panels:
         inputs, n_panels = [], n_outputs  # the inputs are not drawn
     size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES_RESPONSE + _PANEL_INCHES * n_panels)
-    _, axes = panels(ax, n_panels, 1, size=size, sharex=True)
+    figure, axes = panels(ax, n_panels, 1, size=size, sharex=True)
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
         scale, label = unit_label(unit)
         axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
@@ -703,6 +447,9 @@ def plot_response(
     letter(axes)
     _legend_above(axes[0])
     axes[-1].set(xlabel="time [s]", xlim=(time[0], time[-1]))
+    if ax is None:
+        figure.suptitle(_title(validation) if title is None else title, fontsize=10)
+        figure.align_ylabels(list(axes))
     return axes
 
 
@@ -760,7 +507,7 @@ def _title(validation: Validation) -> str:
 _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 
 
-def _response_of_bearing(results: Results) -> Figure:
+def _response_of_bearing(results: Results) -> npt.NDArray[np.object_]:
     """Draw a bearing model on its own recording, at the paper's operating point or the first (Fig. 7)."""
     name = results.fit_with("rotor_bearing")
     made = [
@@ -773,123 +520,59 @@ def _response_of_bearing(results: Results) -> Figure:
     model = next((m for m in made if m.startswith("p5_n6000_")), made[0])
     validation = validate_pair(results.job, name, model, recordings_of(results.experiment, name, model)[0])
     from_s, to_s = _ZOOM if validation.time[-1] >= _ZOOM[1] else (None, None)
-    return response_figure(validation, from_s=from_s, to_s=to_s)
+    return plot_response(validation, from_s=from_s, to_s=to_s)
 
 
 # ---- Static map from piezo positions to disc position (paper, Fig. 5).
 
-_MICROMETRES = 1e6
-
-
-@dataclass(frozen=True, eq=False)
-class StaticSweep(Brief):
-    """Positions at rest along a rising and falling staircase of one input.
-
-    Attributes
-    ----------
-    axis : {"x", "y"}
-        Axis of the input.
-    u : (n,) array
-        Difference of piezo positions [m].
-    p : (n, 2) array
-        Disc position [m].
-    rising : (n,) boolean array
-        Mask of the rising steps.
-    gain, offset : (2,) array
-        Gain [m/m] and offset [m] of the lines ``p = gain u + offset``.
-    """
-
-    axis: str
-    u: FloatArray
-    p: FloatArray
-    rising: BoolArray
-    gain: FloatArray
-    offset: FloatArray
-
 
 @styled
-def plot_static_map(
-    data: Sequence[StaticSweep], ax: Sequence[Axes] | None = None, *, title: str = ""
-) -> npt.NDArray[np.object_]:
-    """Draw the positions at rest over the inputs, with fitted straight lines.
-
-    Parameters
-    ----------
-    data : sequence of StaticSweep
-        Sweep of each input, from `static_map_data`.
-    ax : sequence of matplotlib Axes, optional
-        Axes with a row for each output and a column for each input; a new figure when left out.
-    title : str
-        Title of the figure, as the operating point.
-
-    Returns
-    -------
-    (2, n_inputs) array of matplotlib Axes
-        The axes; ``axes.flat[0].figure`` is the figure.
-    """
-    columns = len(data)
-    width = TWO_COLUMNS if columns > 1 else ONE_COLUMN
-    figure, axes = panels(ax, 2, columns, size=(width, 4.4), sharex="col", sharey="row")
-    for j, sweep in enumerate(data):
-        ends = np.array([sweep.u.min(), sweep.u.max()])
-        for i, output in enumerate("xy"):
-            panel = axes[columns * i + j]
-            rms = float(np.sqrt(np.mean((sweep.p[:, i] - sweep.gain[i] * sweep.u - sweep.offset[i]) ** 2)))
-            line = sweep.gain[i] * ends + sweep.offset[i]
-            panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=ink(), linewidth=0.9, label="straight line")
-            for chosen, marker, color, label in (
-                (sweep.rising, "^", BLUE, "rising"),
-                (~sweep.rising, "v", RED, "falling"),
-            ):
-                points: dict[str, Any] = {"color": color, "markersize": 4, "markerfacecolor": "none"}
-                u, p = _MICROMETRES * sweep.u[chosen], _MICROMETRES * sweep.p[chosen, i]
-                panel.plot(u, p, marker, label=label, **points)
-            text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:z.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
-            panel.set_title(text, loc="right", pad=4, fontsize=8)
-            if j == 0:
-                panel.set_ylabel(f"$p_{output}$ [µm]")
-        axes[columns + j].set_xlabel(f"$u_{sweep.axis}$ [µm]")
-    letter(axes)
-    figure.align_ylabels(axes)
-    legend_above(figure, axes[0], title=title)
-    return axes.reshape(2, columns)
-
-
-def static_map_data(result: StaticMap) -> list[StaticSweep]:
-    """Return the sweeps of a static map for `plot_static_map` (Fig. 5).
+def plot_static_map(result: StaticMap, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw the positions at rest over the inputs, with fitted straight lines; the title is the operating point.
 
     Parameters
     ----------
     result : StaticMap
-        Static map with two outputs. Its positions are relative to the equilibrium; the lines have its gains.
+        Static map. Its positions are drawn relative to the equilibrium.
+    ax : sequence of matplotlib Axes, optional
+        Axes with a row for each output and a column for each input that moves; a new figure when left out.
 
     Returns
     -------
-    list of StaticSweep
-        Sweep of each input that moves.
+    (n_outputs, n_inputs) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
-    sweeps = []
-    for j, source in enumerate(result.input_names):
-        if not np.isfinite(result.gain[:, j]).all():
-            continue
-        panels = [result.panel(i, j) for i in range(len(result.output_names))]
-        u, p = panels[0]["input"], np.column_stack([panel["output"] for panel in panels])
-        rising = panels[0]["direction"] >= 0
-        sweeps.append(StaticSweep(source[-1], u, p, rising, result.gain[:, j], np.zeros(len(panels))))
-    return sweeps
-
-
-def static_map_figure(result: StaticMap) -> npt.NDArray[np.object_]:
-    """Draw a static map with its operating point (Fig. 5)."""
-    return plot_static_map(static_map_data(result), title=place_of(result.conditions))
+    moved = [int(j) for j in np.flatnonzero(np.isfinite(result.gain).all(axis=0))]
+    shape = len(result.output_names), len(moved)
+    width = TWO_COLUMNS if len(moved) > 1 else ONE_COLUMN
+    figure, axes = panels(ax, *shape, size=(width, 0.4 + 2.0 * shape[0]), sharex="col", sharey="row")
+    for panel, (i, j) in zip(axes, np.ndindex(shape), strict=True):
+        data, output, source = result.panel(i, moved[j]), result.output_names[i], result.input_names[moved[j]]
+        line = 1e6 * data["line_input"], 1e6 * data["line_output"]
+        panel.plot(*line, color=ink(), linewidth=0.9, label="straight line")
+        rising = data["direction"] >= 0
+        for chosen, marker, color, label in ((rising, "^", BLUE, "rising"), (~rising, "v", RED, "falling")):
+            points: dict[str, Any] = {"color": color, "markersize": 4, "markerfacecolor": "none", "label": label}
+            panel.plot(1e6 * data["input"][chosen], 1e6 * data["output"][chosen], marker, **points)
+        gain, rms = result.gain[i, moved[j]], 1e6 * result.rms[i, moved[j]]
+        text = f"$g_{{{output[-1]}{source[-1]}}}$ = {gain:z.3f} m/m, rms {rms:.2g} µm"
+        panel.set_title(text, loc="right", pad=4, fontsize=8)
+        if j == 0:
+            panel.set_ylabel(f"{symbol(output)} [µm]")
+        if i == shape[0] - 1:
+            panel.set_xlabel(f"{symbol(source)} [µm]")
+    letter(axes)
+    figure.align_ylabels(axes)
+    legend_above(figure, axes[0], title=place_of(result.conditions))
+    return axes.reshape(shape)
 
 
 FIGURES = (
-    NamedFigure("fig08_actuator_parameters", lambda r: plot_actuator_parameters(nominal_data(r.nominal))),
-    NamedFigure("fig09_crossval_bearing", lambda r: plot_fit_histogram(crossval_data(r.summary("rotor_bearing")))),
-    NamedFigure("fig10_crossval_actuators", lambda r: plot_fit_histogram(crossval_data(r.summary("piezo_pair")))),
+    NamedFigure("fig08_actuator_parameters", lambda r: plot_actuator_parameters(r.nominal)),
+    NamedFigure("fig09_crossval_bearing", lambda r: plot_fit_histogram(r.summary("rotor_bearing"))),
+    NamedFigure("fig10_crossval_actuators", lambda r: plot_fit_histogram(r.summary("piezo_pair"))),
     NamedFigure("figA28_piezo_hysteresis", lambda r: plot_piezo_hysteresis([piezo_data(*q) for q in r.piezos])),
     NamedFigure("figA29_piezo_staircase", lambda r: plot_piezo_staircase([piezo_data(*q) for q in r.piezos])),
     NamedFigure("fig07_identification", _response_of_bearing),
-    NamedFigure("fig05_static_map", lambda r: static_map_figure(r.static_map)),
+    NamedFigure("fig05_static_map", lambda r: plot_static_map(r.static_map)),
 )

@@ -25,13 +25,7 @@ from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
 from gbid.recording.quality import runs
 from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot
-from gbid.report.measured_pictures import (
-    plot_recording,
-    plot_residuals,
-    plot_response,
-    residuals_figure,
-    response_figure,
-)
+from gbid.report.measured_pictures import plot_recording, plot_residuals, plot_response
 from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_orders, plot_profile
 from gbid.structure import LinearModel
 from gbid.validate import ModelComparison, ResidualTest, Validation
@@ -156,13 +150,13 @@ def _on_response(job: Job, fit: str, model: str, i: int) -> Drawn:
 
 def _response(job: Job, fit: str, model: str, recording: str) -> Drawn:
     section = job.experiment.spec.figures[fit]
-    return response_figure(validate_pair(job, fit, model, recording), from_s=section.from_s, to_s=section.to_s)
+    return plot_response(validate_pair(job, fit, model, recording), from_s=section.from_s, to_s=section.to_s)
 
 
 def _residuals(job: Job, fit: str, model: str, recording: str) -> Drawn:
     ahead = "one-step-ahead" if job.experiment.spec.fits[fit].focus == "prediction" else "simulation"
     title = f"{ahead} residuals of {fit}, model of {model} on {recording}"
-    return residuals_figure(residuals_on(job, fit, *model_and_recording(job, fit, model, recording)), title=title)
+    return plot_residuals(residuals_on(job, fit, *model_and_recording(job, fit, model, recording)), title=title)
 
 
 def _bode(job: Job, fit: str, model: str, recording: str) -> Drawn:

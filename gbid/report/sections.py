@@ -40,14 +40,12 @@ from gbid.report.fit_tables import (
     validation_table,
 )
 from gbid.report.measured_pictures import (
-    crossval_data,
-    nominal_data,
     piezo_data,
     plot_actuator_parameters,
     plot_fit_histogram,
     plot_piezo_hysteresis,
     plot_piezo_staircase,
-    static_map_figure,
+    plot_static_map,
 )
 from gbid.report.model_pictures import plot_bode, plot_profile
 from gbid.report.named import comparison
@@ -352,7 +350,7 @@ def _validated(
     if summary.n_pairs >= _HISTOGRAM:
         means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
         alt = f"{name}: histograms of the cross-validation fit, means {means}"
-        blocks.append(Shown(pictures.picture(plot_fit_histogram(crossval_data(summary)), alt)))
+        blocks.append(Shown(pictures.picture(plot_fit_histogram(summary), alt)))
     missed = [row for row in rows if row.missed]
     if missed:
         text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
@@ -389,7 +387,7 @@ def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
         f"{len(nominal.outliers)} values lie off"
     )
     table = nominal_table(nominal_document(section.fit, nominal, results.job.path("nominal", section.fit)))
-    blocks: list[Block] = [table, Shown(pictures.picture(plot_actuator_parameters(nominal_data(nominal)), alt))]
+    blocks: list[Block] = [table, Shown(pictures.picture(plot_actuator_parameters(nominal), alt))]
     return PageSection("actuator", title, blocks)
 
 
@@ -507,7 +505,7 @@ def static_section(results: Results, pictures: Pictures) -> PageSection | None:
 def _map_picture(results: Results, pictures: Pictures) -> list[Block]:
     place = place_of(results.static_map.conditions)
     alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
-    return [Shown(pictures.picture(static_map_figure(results.static_map), alt))]
+    return [Shown(pictures.picture(plot_static_map(results.static_map), alt))]
 
 
 def _piezo_pictures(results: Results, pictures: Pictures) -> list[Block]:

@@ -29,7 +29,7 @@ from gbid.identify import TableEntry, tabulate
 from gbid.identify.table import csv_table
 from gbid.report.canvas import plain_label, save_figure, symbol
 from gbid.report.fit_tables import fit_tables
-from gbid.report.measured_pictures import residuals_figure, response_figure
+from gbid.report.measured_pictures import plot_residuals, plot_response
 
 AWFUL = (
     "[/]",
@@ -155,8 +155,8 @@ def test_figures_draw_names_as_they_are(plain, tmp_path):
     awful = replace(
         validation, recording=name, fitted_to=(name,), input_names=(name,), output_names=(name,), output_units=(name,)
     )
-    save_figure(response_figure(awful, title=None), tmp_path / "response.svg")
-    save_figure(residuals_figure(replace(residuals, recording=300 * "x")), tmp_path / "residuals.svg")
+    save_figure(plot_response(awful), tmp_path / "response.svg")
+    save_figure(plot_residuals(replace(residuals, recording=300 * "x")), tmp_path / "residuals.svg")
 
 
 def test_progress_shows_names_as_they_are(capsys):

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 import gbid
 from gbid.core.errors import UsageError
 from gbid.core.tables import engineering, exponent_of
-from gbid.report import plot_residuals, plot_response, residuals_data, residuals_figure, response_figure, save_figure
+from gbid.report import plot_residuals, plot_response, save_figure
 from gbid.report.canvas import STYLE
 from gbid.validate import ResidualTest, Validation
 
@@ -36,7 +36,7 @@ def validation():
 
 
 def test_figure_shows_what_it_should(validation):
-    figure = response_figure(validation, from_s=1.2, to_s=1.4)
+    figure = plot_response(validation, from_s=1.2, to_s=1.4)[0].figure
     assert figure.get_suptitle() == "5 bar, 6000 rpm: model of one on two"
     first, second, third = figure.axes
     assert [ax.get_ylabel() for ax in figure.axes] == ["$p_{x}$ [µm]", "$p_{y}$ [µm]", "$u_{x}$, $u_{y}$ [µm]"]
@@ -55,7 +55,7 @@ def test_figure_shows_what_it_should(validation):
 
 
 def test_legends_cover_no_curve(validation):
-    figure = response_figure(validation)
+    figure = plot_response(validation)[0].figure
     figure.draw_without_rendering()
     legends = [(ax, ax.get_legend()) for ax in figure.axes if ax.get_legend()]
     assert len(legends) == 2
@@ -76,7 +76,7 @@ def test_other_units_and_one_input(validation):
         fitted_to=("two",),
         conditions={},
     )
-    figure = response_figure(other)
+    figure = plot_response(other)[0].figure
     assert [ax.get_ylabel() for ax in figure.axes] == ["$y$ [V]", "p_long_name [µm]", "drive [-]"]
     assert figure.get_suptitle() == "model of two on its own recording"
     assert figure.axes[2].get_legend() is None
@@ -86,7 +86,8 @@ def test_other_units_and_one_input(validation):
 def test_many_inputs_have_panels_of_one_unit_and_at_most_four(validation):
     names = (*(f"f_{k}" for k in range(6)), "i")
     inputs = np.hstack([validation.inputs[:, :1]] * 7)
-    figure = response_figure(replace(validation, inputs=inputs, input_names=names, input_units=(*("N",) * 6, "A")))
+    many = replace(validation, inputs=inputs, input_names=names, input_units=(*("N",) * 6, "A"))
+    figure = plot_response(many)[0].figure
     below = figure.axes[len(validation.output_names) :]
     assert [len(ax.get_lines()) for ax in below] == [4, 2, 1]
     assert [ax.get_ylabel() for ax in below] == ["inputs [N]", "$f_{4}$, $f_{5}$ [N]", "$i$ [A]"]
@@ -97,7 +98,7 @@ def test_many_inputs_have_panels_of_one_unit_and_at_most_four(validation):
 
 def test_a_part_outside_is_refused(validation):
     with pytest.raises(UsageError, match="has 0 samples"):
-        response_figure(validation, from_s=3.0, to_s=4.0)
+        plot_response(validation, from_s=3.0, to_s=4.0)
     with pytest.raises(UsageError, match="1 axes for 2 panels"):
         plot_response(validation, [Figure().subplots()])
 
@@ -134,7 +135,7 @@ def test_a_figure_is_drawn_once_and_looks_as_that_of_matplotlib(tmp_path, monkey
 
 def test_no_global_state(validation):
     before = dict(mpl.rcParams)
-    response_figure(validation)
+    plot_response(validation)
     assert dict(mpl.rcParams) == before
 
 
@@ -154,20 +155,21 @@ def residual_test():
 
 
 def test_residual_panels_are_the_correlations(residual_test):
-    rows = residuals_data(residual_test)
-    assert [[panel.against for panel in row] for row in rows] == [["p_x", "u_x", "u_y"], ["p_y", "u_x", "u_y"]]
-    for j, (white, *others) in enumerate(rows):
-        np.testing.assert_array_equal(white.lags, np.arange(1, 21))  # at 0 it is one
-        np.testing.assert_allclose(white.time, white.lags)
-        np.testing.assert_array_equal(white.correlation, residual_test.autocorrelation[j, 1:])
-        for i, panel in enumerate(others):
-            np.testing.assert_array_equal(panel.correlation, residual_test.crosscorrelation[j, i])
-    assert np.flatnonzero(rows[1][1].outside).tolist() == [22]
+    axes = plot_residuals(residual_test)
+    for j, panels in enumerate(axes):
+        correlations = [residual_test.autocorrelation[j, 1:], *residual_test.crosscorrelation[j]]  # at 0 it is one
+        for i, (panel, expected) in enumerate(zip(panels, correlations, strict=True)):
+            inside, outside = (bars.get_segments() for bars in panel.collections)
+            bars = sorted([*inside, *outside], key=lambda bar: bar[0, 0])
+            np.testing.assert_array_equal([bar[0, 0] for bar in bars], residual_test.cross_lags[-len(bars) :])
+            np.testing.assert_array_equal([bar[1, 1] for bar in bars], expected)
+            assert [bar[0, 0] for bar in outside] == ([2] if (j, i) == (1, 1) else [])
 
 
 def test_residual_figure_shows_what_it_should(residual_test):
-    figure = residuals_figure(residual_test)
-    axes = np.array(figure.axes).reshape(2, 3)
+    axes = plot_residuals(residual_test)
+    figure = axes[0, 0].figure
+    assert figure.get_suptitle() == "residuals on two"
     assert [ax.get_title() for ax in axes[0]] == [
         "autocorrelation",
         "correlation with $u_{x}$",
@@ -188,7 +190,7 @@ def test_residual_figure_shows_what_it_should(residual_test):
     assert above.get_xlabel() == "lag [ms]"
     lag, time = axes[0, 1].get_xlim()[1], above.get_xlim()[1]
     assert time == pytest.approx(1e3 * 1e-3 * lag)
-    with pytest.raises(UsageError, match="2 rows of 3 axes"):
+    with pytest.raises(UsageError, match="1 axes for 6 panels"):
         plot_residuals(residual_test, [[Figure().subplots()]])
 
 
@@ -196,7 +198,8 @@ def test_residual_figure_shows_what_it_should(residual_test):
 def test_the_words_below_a_residual_figure_fit_into_it(residual_test, n_inputs):
     by_input = ("crosscorrelation", "cross_band", "p_independent")
     fewer = {name: getattr(residual_test, name)[:, :n_inputs] for name in by_input}
-    figure = residuals_figure(replace(residual_test, input_names=residual_test.input_names[:n_inputs], **fewer))
+    test = replace(residual_test, input_names=residual_test.input_names[:n_inputs], **fewer)
+    figure = plot_residuals(test)[0, 0].figure
     figure.draw_without_rendering()
     box = next(text for text in figure.texts if "shaded" in text.get_text()).get_window_extent()
     assert 0 <= box.x0 < box.x1 <= figure.bbox.x1

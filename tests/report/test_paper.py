@@ -364,14 +364,16 @@ def staircases(gain, scatter=0.0):
 
 def test_static_map_panels_are_the_gains():
     gain = np.array([[0.25, -0.01], [0.02, 0.29]])
-    sweeps = report.static_map_data(gbid.characterise_staircase(staircases(gain, 1e-9)))
-    assert [sweep.axis for sweep in sweeps] == ["x", "y"]
-    for j, sweep in enumerate(sweeps):
-        slope = np.polyfit(sweep.u, sweep.p, 1)
-        assert slope[0] == pytest.approx(gain[:, j], abs=2e-4)
-        assert slope[1] == pytest.approx([0, 0], abs=2e-9)  # about the equilibrium
-        assert sweep.gain == pytest.approx(slope[0], abs=1e-4)
-        assert 0 < sweep.rising.sum() < len(sweep.u)
+    result = gbid.characterise_staircase(staircases(gain, 1e-9))
+    axes = report.plot_static_map(result)
+    assert [ax.get_xlabel() for ax in axes[1]] == ["$u_{x}$ [µm]", "$u_{y}$ [µm]"]
+    for i, j in np.ndindex(2, 2):
+        _, rising, falling = lines = axes[i, j].get_lines()
+        for line in lines:
+            slope, offset = np.polyfit(line.get_xdata(), line.get_ydata(), 1)
+            assert slope == pytest.approx(gain[i, j], abs=2e-4)
+            assert offset == pytest.approx(0, abs=2e-3)  # about the equilibrium [µm]
+        assert min(len(rising.get_xdata()), len(falling.get_xdata())) > 0
 
 
 def test_histogram_counts_every_pair():
@@ -380,10 +382,10 @@ def test_histogram_counts_every_pair():
     names = tuple(str(i) for i in range(40))
     where = np.full(40, 6.0)
     scores = ValidationScores(names, names, where, where, ("p_x", "p_y"), ("m", "m"), percent, 1e-6 * percent)
-    drawn = report.crossval_data(summarise(scores))
-    assert [h.n for h in drawn] == [40, 40]
-    assert [h.mean for h in drawn] == pytest.approx(percent.mean(axis=0))
-    assert [h.std for h in drawn] == pytest.approx(percent.std(axis=0, ddof=1))
+    for j, ax in enumerate(report.plot_fit_histogram(summarise(scores))):
+        assert ax.patches[0].get_data().values.sum() == 40
+        mean, std = percent[:, j].mean(), percent[:, j].std(ddof=1)
+        assert ax.texts[0].get_text() == f"mean {mean:.2f} %\nstd {std:.2f} %\nn = 40"
 
 
 @pytest.fixture(scope="module")

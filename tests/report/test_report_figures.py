@@ -10,7 +10,7 @@ from itertools import combinations
 import matplotlib as mpl
 import numpy as np
 import pytest
-from figure_cases import FIGURES, grid_points, loop, machine
+from figure_cases import FIGURES, grid_points, loop, machine, piezo_staircases
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -221,22 +221,17 @@ def test_damping_map_and_root_locus_are_the_loops():
 
 
 def test_piezo_steps_and_plateaus():
-    time = np.arange(40) * 0.1
-    command = np.repeat([0.0, 1.0, 2.0, 1.0], 10)
-    position = 3e-6 * command
-    data = report.piezo_staircase_data("open", time, command, position)
-    np.testing.assert_array_equal(data.steps, [10, 20, 30])
-    at, where, rising = data.plateaus()
-    np.testing.assert_array_equal(at, [1, 2, 1])
-    np.testing.assert_allclose(where, [3e-6, 6e-6, 3e-6])
-    np.testing.assert_array_equal(rising, [True, True, False])
-    for since, step in data.single_steps():
-        assert since[0] == 0
-        np.testing.assert_allclose(step, 3e-6)
-    with pytest.raises(UsageError, match="never changes"):
-        report.piezo_staircase_data("still", time, 0 * command, position)
-    with pytest.raises(UsageError, match="give one each"):
-        report.piezo_staircase_data("short", time, command[1:], position)
+    for staircase in piezo_staircases():
+        curve = staircase.curve
+        panel, _ = report.plot_piezo_hysteresis([staircase])
+        way, rising, falling = panel.get_lines()
+        np.testing.assert_allclose(way.get_ydata(), 1e6 * curve.position)
+        assert [len(marked.get_xdata()) for marked in (rising, falling)] == [11, 10]
+        over_steps, over_time = report.plot_piezo_staircase([staircase])
+        steps = np.array([line.get_ydata() for line in over_steps.get_lines()])
+        np.testing.assert_allclose(steps, 1e6 * np.where(curve.step > 0, curve.responses, -curve.responses).T)
+        assert (steps[:, -1] > 0).all()  # falling steps are mirrored
+        np.testing.assert_array_equal(over_time.get_lines()[0].get_xdata(), staircase.time)
 
 
 def test_impact_curves_must_fit_their_time():

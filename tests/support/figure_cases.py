@@ -12,6 +12,8 @@ from gbid import report
 from gbid.control import p_controller, sensitivity_data
 from gbid.report.page import Picture, Pictures
 from gbid.structure import LinearModel, evaluate
+from gbid.validate import NominalActuator, ValidationScores, summarise
+from gbid.validate.central import ActuatorOutlier
 
 POINT = "6 bar, 0 rpm"
 
@@ -68,35 +70,46 @@ def static_gains():
 
 
 def histograms():
-    random = np.random.default_rng(4)
-    shown = []
-    for label, mean, std in (("$p_x$", 81.1, 2.66), ("$p_y$", 85.1, 3.37)):
-        counts, edges = np.histogram(mean + std * random.standard_normal(86), 15)
-        shown.append(report.Histogram(label, edges, counts, mean, std))
-    return report.plot_fit_histogram(shown)
+    random, names = np.random.default_rng(4), tuple(f"r{i}" for i in range(86))
+    percent = np.array([81.1, 85.1]) + np.array([2.66, 3.37]) * random.standard_normal((86, 2))
+    where, outputs = np.full(86, 6.0), ("p_x", "p_y")
+    scores = ValidationScores(names, names, where, where, outputs, ("m", "m"), percent, 1e-6 * percent)
+    return report.plot_fit_histogram(summarise(scores))
+
+
+def nominal():
+    """A choice among 86 actuator models, some of them 15 % off."""
+    random, true = np.random.default_rng(5), machine().actuators
+    models, names = tuple(f"r{i}" for i in range(86)), tuple(true)
+    values = np.array(list(true.values())) * (1 + 0.01 * random.standard_normal((86, len(names))))
+    out = random.random(values.shape) < 0.06
+    values[out] *= 1.15
+    typical, z = np.median(values, axis=0), np.where(out, 15.0, 0.0)
+    outliers = tuple(
+        ActuatorOutlier(models[i], names[k], "gain" if "kappa" in names[k] else "pole", values[i, k], typical[k], 15.0)
+        for i, k in np.argwhere(out)
+    )
+    chosen = dict(zip(names, values[38], strict=True))
+    return NominalActuator(
+        models[38], chosen, chosen, models, names, values, z, z.mean(axis=1), 3.5, outliers, left_out=()
+    )
 
 
 def actuators():
-    random, true = np.random.default_rng(5), machine().actuators
-    values = {name: value * (1 + 0.01 * random.standard_normal(86)) for name, value in true.items()}
-    outliers = {}
-    for name in values:
-        out = random.random(86) < 0.06
-        values[name] = np.where(out, values[name] * 1.15, values[name])
-        outliers[name] = out
-    return report.plot_actuator_parameters(report.ActuatorParameters(values, outliers, nominal=38))
+    return report.plot_actuator_parameters(nominal())
 
 
 def static_map():
-    gain = machine().at(6, 0).static_gain()
-    u = 1e-6 * np.array([*range(-10, 11, 2), *range(8, -11, -2)])
-    rising = np.arange(len(u)) <= 10
-    random = np.random.default_rng(6)
-    sweeps = []
-    for j, axis in enumerate("xy"):
-        p = u[:, None] * gain[:, j] + 1e-6 * np.array([3.0, -2.0]) + 1e-7 * random.standard_normal((len(u), 2))
-        sweeps.append(report.StaticSweep(axis, u, p, rising, gain[:, j], np.array([3e-6, -2e-6])))
-    return report.plot_static_map(sweeps, title=POINT)
+    gain, random = machine().at(6, 0).static_gain(), np.random.default_rng(6)
+    levels, recordings = 1e-6 * np.array([*range(-10, 11, 2), *range(8, -11, -2)]), []
+    for axis in (0, 1):
+        u = np.zeros((200 * len(levels), 2))
+        u[:, axis] = np.repeat(levels, 200)
+        noise = np.repeat(1e-7 * random.standard_normal((len(levels), 2)), 200, axis=0)
+        p = u @ gain.T + 1e-6 * np.array([3.0, -2.0]) + noise + 1e-8 * random.standard_normal(u.shape)
+        signals, conditions = {"r": u, "u": u, "p": p}, {"pressure_bar": 6.0, "speed_rpm": 0.0}
+        recordings.append(gbid.Recording(signals, 2e-4, name="xy"[axis], conditions=conditions))
+    return report.plot_static_map(gbid.characterise_staircase(recordings))
 
 
 def loop():
@@ -133,7 +146,7 @@ def impact_loops():
 
 def piezo_staircases():
     steps = np.array([*range(0, 11), *range(9, -1, -1)], float)
-    command, time = np.repeat(steps, 200), 2e-3 * np.arange(200 * len(steps))
+    command = np.repeat(steps, 200)
     bow = np.where(np.arange(len(steps)) <= 10, -4.2e-6, 4.2e-6) * (1 - ((steps - 5) / 5) ** 2)
 
     def settle(plateaus, samples):
@@ -141,11 +154,15 @@ def piezo_staircases():
         decay = np.exp(-np.arange(1, 201) / samples)
         return (plateaus[:, None] + (before - plateaus)[:, None] * decay).ravel()
 
-    reference = 4.5e-6 * command
-    return [
-        report.piezo_staircase_data("open loop", time, command, settle(4.5e-6 * steps + bow, 25.0)),
-        report.piezo_staircase_data("PD control", time, reference, settle(4.5e-6 * steps, 8.0), "m"),
-    ]
+    staircases = []
+    for unit, scale, position in (
+        ("V", 1.0, settle(4.5e-6 * steps + bow, 25.0)),
+        ("m", 4.5e-6, settle(4.5e-6 * steps, 8.0)),
+    ):
+        signals = {"r": scale * command, "u": position}
+        recording = gbid.Recording(signals, 2e-3, units={"r": unit, "u": "m"})
+        staircases.append(report.piezo_data(gbid.characterise_piezo(recording), recording, "r"))
+    return staircases
 
 
 def hysteresis():
