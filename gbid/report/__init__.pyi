@@ -20,13 +20,10 @@ from .impact_pictures import (
 )
 from .loop_pictures import (
     DampingMap as DampingMap,
-    MagnitudeCurves as MagnitudeCurves,
     ParetoCurves as ParetoCurves,
     RootLocus as RootLocus,
-    bode_curves as bode_curves,
     damping_map_data as damping_map_data,
     designs_pareto_data as designs_pareto_data,
-    pareto_data as pareto_data,
     plot_cycle as plot_cycle,
     plot_damping_map as plot_damping_map,
     plot_magnitudes as plot_magnitudes,
@@ -34,7 +31,6 @@ from .loop_pictures import (
     plot_robustness_price as plot_robustness_price,
     plot_root_locus as plot_root_locus,
     root_locus_data as root_locus_data,
-    sensitivity_curves as sensitivity_curves,
 )
 from .measured_pictures import (
     PiezoStaircase as PiezoStaircase,

@@ -46,7 +46,6 @@ from gbid.report.loop_pictures import (
     plot_robustness_price,
     plot_root_locus,
     root_locus_data,
-    sensitivity_curves,
 )
 from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Templated, Words
 from gbid.report.read import NO_IMPACT, AssessedDesign, Results, conditions_words, place_of
@@ -70,7 +69,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
         plant, lambda f: replace(controller, C=f * controller.C, D=f * controller.D), _FACTORS, title=title
     )
     frequency = _shown_frequencies(plant, design.sample_time)
-    curves = sensitivity_curves(sensitivity_data(plant, controller, frequency), title)
+    data = sensitivity_data(plant, controller, frequency)
     peak, control = (design.figures.at(row)[name] for name in ("peak_output", "peak_control"))
     alt = f"Sensitivities of {title}: peak of S_o {peak:.2f}, of K S_o {control:.2f}"
     words = f"at its worst operating point, {place}: smallest damping factor {worst:.3f}"
@@ -82,7 +81,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     return [
         Words(f"Pictures of {design.name}, {words}."),
         Gallery(shown),
-        Shown(pictures.picture(plot_magnitudes(curves), alt)),
+        Shown(pictures.picture(plot_magnitudes(data, title=title), alt)),
     ]
 
 
@@ -156,12 +155,10 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     except GbidError as error:
         return [*blocks, Words(f"The Pareto front cannot be drawn: {error}", "warn")]
     reached = "; ".join(
-        f"{label} "
-        + ", ".join(f"{z:.3f} at {peak:.2f}" for peak, z in zip(data.peak_sensitivity[label], damping, strict=True))
-        for label, damping in data.damping.items()
+        f"{label} " + ", ".join(f"{z:.3f} at {peak:.2f}" for peak, z in front) for label, front in data.fronts.items()
     )
     alt = f"Smallest damping factor over the peak of the output sensitivity: {reached}"
-    drawn = sum(map(len, data.damping.values())) + len(data.designs)
+    drawn = sum(map(len, data.fronts.values())) + len(data.designs)
     return [*blocks, Shown(pictures.picture(plot_pareto(data), alt))] if drawn > 1 else blocks
 
 

@@ -22,7 +22,6 @@ from gbid.report.read import Results, place_of
 # ---- Responses of the disc to an impact, with the force (paper, Figs. 22 to 27).
 
 _MICROMETRES = 1e6
-_BEFORE = 25  # number of samples shown before an impact
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +113,11 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
     """
     validations = {"open loop": validation_along(open_loop, axis), "closed loop": validation_along(closed_loop, axis)}
     j = "xy".index(axis)
-    starts = {label: max(0, v.windows[0][0] - _BEFORE) for label, v in validations.items()}
+    starts = {label: v.shown.start for label, v in validations.items()}
     first = validations["open loop"]
     # Up to the second impact, or to the end.
     ends = {k: v.windows[1][0] if len(v.windows) > 1 else len(v.time) for k, v in validations.items()}
-    length = min(first.windows[0][1] - starts["open loop"], *(ends[k] - starts[k] for k in starts))
+    length = min(first.shown.stop - starts["open loop"], *(ends[k] - starts[k] for k in starts))
     parts = {label: slice(start, start + length) for label, start in starts.items()}
     return ImpactCurves(
         first.time[parts["open loop"]] - first.time[first.windows[0][0]],
@@ -150,7 +149,7 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
         When the study has no impact along this axis.
     """
     v, j = validation_along(study, axis), "xy".index(axis)
-    part = slice(max(0, v.windows[0][0] - _BEFORE), v.windows[0][1])
+    part = v.shown
     measured = v.measured[part, j] - v.stationary[part, j]
     return ImpactCurves(
         v.time[part] - v.time[v.windows[0][0]],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from gbid.control import SensitivityData, close_loop, sensitivity_data, smallest
 from gbid.control.assessment import TunedDesign
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.experiment.stages.cycle import CycleRow
 from gbid.lpv import LPVModel
 from gbid.report.canvas import (
@@ -280,97 +280,45 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
 _RANGE_DB = 90.0
 
 
-@dataclass(frozen=True, eq=False)
-class MagnitudeCurves(Brief):
-    """Frequency responses of several transfer functions, with a panel for each pair of channels.
-
-    Attributes
-    ----------
-    frequency_hz : (n,) array
-        Frequencies [Hz].
-    responses : dict of str to (n, n_outputs, n_inputs) complex array
-        Frequency responses by label of the legend.
-    output_names, input_names : tuple of str
-        Names of the channels.
-    title : str
-        Title of the figure, as operating point and controller.
-    """
-
-    frequency_hz: FloatArray
-    responses: Mapping[str, ComplexArray]
-    output_names: tuple[str, ...]
-    input_names: tuple[str, ...]
-    title: str = ""
-
-
-def sensitivity_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
-    """Return the sensitivities ``S_o`` and ``K_pl S_o`` of a loop (Fig. 20).
-
-    Parameters
-    ----------
-    data : SensitivityData
-        Result of `gbid.control.sensitivity_data`.
-    title : str
-        Title of the figure, as operating point and controller.
-
-    Returns
-    -------
-    MagnitudeCurves
-        Frequency responses.
-    """
-    curves = {"output sensitivity $S_o$": data.output, "controller sensitivity $K_{pl} S_o$": data.control}
-    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.output_names, title)
-
-
-def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
-    """Return the transfer functions ``G`` of the open loop and ``S_o G`` of the closed loop (Fig. 21).
-
-    Parameters
-    ----------
-    data : SensitivityData
-        Result of `gbid.control.sensitivity_data`.
-    title : str
-        Title of the figure, as operating point and controller.
-
-    Returns
-    -------
-    MagnitudeCurves
-        Frequency responses.
-    """
-    curves = {"open loop $G$": data.open_loop, "closed loop $S_o G$": data.plant}
-    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.input_names, title)
-
-
 @styled
-def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> npt.NDArray[np.object_]:
-    """Draw magnitudes over frequency, in decibels relative to 1 m/m.
+def plot_magnitudes(
+    data: SensitivityData,
+    ax: npt.ArrayLike | None = None,
+    *,
+    curves: Literal["sensitivity", "bode"] = "sensitivity",
+    title: str = "",
+) -> npt.NDArray[np.object_]:
+    """Draw magnitudes of a loop over frequency, in decibels relative to 1 m/m.
 
     Parameters
     ----------
-    data : MagnitudeCurves
-        Data of `sensitivity_curves` or `bode_curves`.
+    data : SensitivityData
+        Result of `gbid.control.sensitivity_data`.
     ax : array of matplotlib Axes, optional
         Axes with a row for each output and a column for each input; a new figure when left out.
+    curves : {"sensitivity", "bode"}
+        The sensitivities ``S_o`` and ``K_pl S_o`` (Fig. 20), or the transfer functions ``G`` of the open loop and
+        ``S_o G`` of the closed loop (Fig. 21).
+    title : str
+        Title of the figure, as operating point and controller.
 
     Returns
     -------
     (n_outputs, n_inputs) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
-
-    Raises
-    ------
-    UsageError
-        When the shape of a response does not fit the channels and frequencies.
     """
-    shape = (len(data.frequency_hz), len(data.output_names), len(data.input_names))
-    for label, response in data.responses.items():
-        if response.shape != shape:
-            raise UsageError(f"response {label!r} has shape {response.shape}, expected {shape}")
-    figure, flat = panels(ax, *shape[1:], size=(TWO_COLUMNS, 0.7 + 1.9 * shape[1]), sharex=True, sharey=True)
-    axes = flat.reshape(shape[1:])
+    if curves == "sensitivity":
+        responses = {"output sensitivity $S_o$": data.output, "controller sensitivity $K_{pl} S_o$": data.control}
+        input_names = data.output_names
+    else:
+        responses = {"open loop $G$": data.open_loop, "closed loop $S_o G$": data.plant}
+        input_names = data.input_names
+    shape = len(data.output_names), len(input_names)
+    figure, flat = panels(ax, *shape, size=(TWO_COLUMNS, 0.7 + 1.9 * shape[0]), sharex=True, sharey=True)
+    axes = flat.reshape(shape)
     with np.errstate(divide="ignore"):
-        levels = {label: 20 * np.log10(np.abs(response)) for label, response in data.responses.items()}
-    for i, j, panel in channel_pairs(axes, data.output_names, data.input_names):
+        levels = {label: 20 * np.log10(np.abs(response)) for label, response in responses.items()}
+    for i, j, panel in channel_pairs(axes, data.output_names, input_names):
         panel.axhline(0.0, color=GREY, linewidth=0.7)
         for k, (label, level) in enumerate(levels.items()):
             shown = np.where(np.isfinite(level[:, i, j]), level[:, i, j], np.nan)
@@ -383,19 +331,17 @@ def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> n
     tops = [10 * np.ceil(level.max() / 10) for level in levels.values()]
     axes[0, 0].set_ylim(min(tops) - _RANGE_DB, max(tops) + 3)
     letter(flat)
-    legend_above(figure, axes[0, 0], title=data.title)
+    legend_above(figure, axes[0, 0], title=title)
     return axes
 
 
-def _plot_published_loop(
-    curves: Callable[[SensitivityData, str], MagnitudeCurves], results: Results
-) -> npt.NDArray[np.object_]:
+def _plot_published_loop(curves: Literal["sensitivity", "bode"], results: Results) -> npt.NDArray[np.object_]:
     """Draw curves of the identified model in the loop with the published controller."""
     point = shown_point(results.identified)
     plant, d = results.identified.plant_at(*point), published_gains(results.published_machine)
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
     data = sensitivity_data(plant, published_controller(results.published_machine))
-    return plot_magnitudes(curves(data, f"{point_label(*point)}; {gains}"))
+    return plot_magnitudes(data, curves=curves, title=f"{point_label(*point)}; {gains}")
 
 
 # ---- Pareto front of robustness and damping.
@@ -407,47 +353,17 @@ class ParetoCurves(Brief):
 
     Attributes
     ----------
-    peak_sensitivity : dict of str to (n,) array
-        Peak of S_o of the designs, by structure of the controller.
-    damping : dict of str to (n,) array
-        Smallest damping factor of the same designs.
+    fronts : dict of str to sequence of (peak, damping)
+        Peaks of S_o and smallest damping factors of the designs, by structure of the controller.
     designs : dict of str to (peak, damping)
         Single designs with a mark, as the paper's gains.
     title : str
         Title of the figure.
     """
 
-    peak_sensitivity: Mapping[str, FloatArray]
-    damping: Mapping[str, FloatArray]
+    fronts: Mapping[str, Sequence[tuple[float, float]]]
     designs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     title: str = ""
-
-
-def pareto_data(
-    designs: Mapping[str, Sequence[tuple[float, float]]],
-    marked: Mapping[str, tuple[float, float]] | None = None,
-    title: str = "",
-) -> ParetoCurves:
-    """Return designs in ascending order of their peak sensitivity.
-
-    Parameters
-    ----------
-    designs : dict of str to sequence of (peak_sensitivity, damping)
-        Designs by structure of the controller.
-    marked : dict of str to (peak_sensitivity, damping), optional
-        Single designs with a mark.
-    title : str
-        Title of the figure.
-
-    Returns
-    -------
-    ParetoCurves
-        Fronts and single designs.
-    """
-    sorted_designs = {label: np.array(sorted(pairs), float).reshape(-1, 2) for label, pairs in designs.items()}
-    peaks = {label: pairs[:, 0] for label, pairs in sorted_designs.items()}
-    damping = {label: pairs[:, 1] for label, pairs in sorted_designs.items()}
-    return ParetoCurves(peaks, damping, dict(marked or {}), title)
 
 
 def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
@@ -474,7 +390,8 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
         results = [design.result, *(result for _, result in design.front)]
         label = design.performance[0].structure if design.performance else name
         label = name if label in fronts else label
-        fronts[label] = [(q.peak_sensitivity, q.value) for q in results if q.success and q.peak_sensitivity is not None]
+        made = [(q.peak_sensitivity, q.value) for q in results if q.success and q.peak_sensitivity is not None]
+        fronts[label] = sorted(made)
     first, marked = next(iter(chosen.values())), {}
     runs = first.result.sample_time is not None
     figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
@@ -485,7 +402,7 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
     title = f"{first.plant}, worst of {len(first.result.points)} operating points"
     if first.result.sample_time is not None:
         title += f", sampled at {1e3 * first.result.sample_time:g} ms"
-    return pareto_data(fronts, marked, title)
+    return ParetoCurves(fronts, marked, title)
 
 
 @styled
@@ -504,14 +421,13 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
     matplotlib Axes
         The axes; ``axes.figure`` is the figure.
     """
-    many = len(data.peak_sensitivity) > len(SERIES)  # too many lines for a legend among them
+    many = len(data.fronts) > len(SERIES)  # too many lines for a legend among them
     _figure, panel = one_panel(ax, (5.9 if many else 4.6, 3.1))
-    for k, (label, peak) in enumerate(data.peak_sensitivity.items()):
-        order = np.argsort(peak)
-        values = np.asarray(data.damping[label], float)[order]
+    for k, (label, front) in enumerate(data.fronts.items()):
+        pairs = np.array(sorted(front), float).reshape(-1, 2)
         again = k % (2 * len(SERIES)) >= len(SERIES)  # with the same colours
         look = series(k, markersize=3.5, markerfacecolor="white" if again else None)
-        panel.plot(np.asarray(peak, float)[order], values, label=label, **look)
+        panel.plot(*pairs.T, label=label, **look)
     for k, (label, (peak_so, damping)) in enumerate(data.designs.items()):
         mark: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
         panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **mark)
@@ -631,8 +547,8 @@ def _relative(row: CycleRow, name: str) -> float:
 
 
 FIGURES = (
-    NamedFigure("fig20_sensitivities", partial(_plot_published_loop, sensitivity_curves)),
-    NamedFigure("fig21_bode", partial(_plot_published_loop, bode_curves)),
+    NamedFigure("fig20_sensitivities", partial(_plot_published_loop, "sensitivity")),
+    NamedFigure("fig21_bode", partial(_plot_published_loop, "bode")),
     NamedFigure("designs_pareto", lambda results: plot_pareto(designs_pareto_data(results.tuned))),
     NamedFigure("designs_robust", lambda results: plot_robustness_price(results.tuned)),
     NamedFigure(

@@ -117,7 +117,7 @@ def loop():
 
 
 def sensitivity():
-    return report.plot_magnitudes(report.sensitivity_curves(sensitivity_data(*loop()), POINT))
+    return report.plot_magnitudes(sensitivity_data(*loop()), title=POINT)
 
 
 def impact():
@@ -179,7 +179,7 @@ def pareto():
         "P": list(zip(peak, 0.35 * (1 - np.exp(1.0 - peak)), strict=True)),
         "biquad": list(zip(peak, 0.75 * (1 - np.exp(1.2 * (1.0 - peak))), strict=True)),
     }
-    return report.plot_pareto(report.pareto_data(designs, {"paper": (2.283, 0.318)}, title=POINT))
+    return report.plot_pareto(report.ParetoCurves(designs, {"paper": (2.283, 0.318)}, title=POINT))
 
 
 def damping_map():

@@ -91,15 +91,10 @@ class ImpactValidation(Brief):
         """``"x"``, ``"y"``, or ``"xy"`` when there are impacts along both axes."""
         return "".join(sorted({impact.axis for impact in self.impacts}))
 
-    def window(self, impact: int = 0) -> slice:
-        """Return the samples of one impact for a figure, from a little before it until the response has decayed.
-
-        Parameters
-        ----------
-        impact : int
-            Number of the impact, from 0.
-        """
-        start, stop = self.windows[impact]
+    @property
+    def shown(self) -> slice:
+        """Samples of the first impact for a figure, from a little before it until the response has decayed."""
+        start, stop = self.windows[0]
         return slice(max(0, start - _BEFORE), stop)
 
 
