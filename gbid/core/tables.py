@@ -27,8 +27,16 @@ T = TypeVar("T")
 _SHOWN = {"s": (1e3, "ms"), "m": (1e6, "µm")}
 
 
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Return factor and unit for showing a value: milliseconds for times, micrometres for lengths."""
+_LONG = 1e-2
+
+
+def shown_unit(unit: str, largest: float = 0.0) -> tuple[float, str]:
+    """Return factor and unit for showing a value: milliseconds for times, micrometres for lengths.
+
+    Where the largest of the values is given and is 10 mm or more, lengths are in millimetres.
+    """
+    if unit == "m" and largest >= _LONG:
+        return 1e3, "mm"
     return _SHOWN.get(unit, (1.0, unit))
 
 

@@ -112,9 +112,9 @@ def plain_label(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def unit_label(unit: str) -> tuple[float, str]:
-    """Return the factor and the label of a unit in figures: micrometres for metres, a dash where there is none."""
-    factor, shown = shown_unit(unit)
+def unit_label(unit: str, values: npt.ArrayLike = ()) -> tuple[float, str]:
+    """Return the factor and the label of a unit in figures of values, of which some may be NaN; see `shown_unit`."""
+    factor, shown = shown_unit(unit, float(np.nanmax(np.abs(values), initial=0.0)))
     return factor, plain_label(shown or "-")
 
 

@@ -297,7 +297,7 @@ def plot_recording(
     for panel, name in zip(axes, names, strict=True):
         values = recording.signal(name, gaps=True, irregular=True)[shown]  # a line ends at a missing sample
         channels = recording.channels[name]
-        factor, unit = unit_label(recording.units[name])
+        factor, unit = unit_label(recording.units[name], values)
         for i, channel in enumerate(channels):
             panel.plot(time, factor * values[:, i], label=channel, **series(i, marker=None, linewidth=0.9))
         panel.set_ylabel(f"{symbol(name)} [{unit}]")
@@ -437,7 +437,7 @@ def plot_response(
     size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES_RESPONSE + _PANEL_INCHES * n_panels)
     figure, axes = panels(ax, n_panels, 1, size=size, sharex=True)
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
-        scale, label = unit_label(unit)
+        scale, label = unit_label(unit, validation.measured[shown, i])
         axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
         axes[i].plot(time, scale * validation.simulated[shown, i], label="simulated", **_SIMULATED)
         axes[i].set_ylabel(f"{symbol(name)} [{label}]")
@@ -464,7 +464,7 @@ def _input_panels(validation: Validation) -> list[list[int]]:
 
 
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray, places: list[int]) -> None:
-    scale, label = unit_label(validation.input_units[places[0]])
+    scale, label = unit_label(validation.input_units[places[0]], validation.inputs[shown][:, places])
     names = [symbol(validation.input_names[i]) for i in places]
     for k, i in enumerate(places):
         ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=names[k], **series(k, marker=None))

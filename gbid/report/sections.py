@@ -265,7 +265,7 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
     -------
     dict
         recording; start, step, duration [s]; at irregular times `times`, from the start; outputs, each with name, unit,
-        n, measured, simulated, and error_n, error_low, error_high. Lengths are in micrometres. Curves are in the form
+        n, measured, simulated, and error_n, error_low, error_high, in the units of `shown_unit`. Curves are in the form
         of `packed`.
     """
     time, n = validation.time, len(validation.time)
@@ -281,13 +281,13 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
         edges = np.searchsorted(time, np.linspace(0, duration, min(BINS, n) + 1)[:-1])
     outputs = []
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
-        factor, shown = (1e6, "µm") if unit == "m" else (1.0, unit or "-")
+        factor, shown = shown_unit(unit, float(np.nanmax(np.abs(validation.measured[:, i]))))
         measured, simulated = factor * validation.measured[:, i], factor * validation.simulated[:, i]
         error = measured - simulated
         outputs.append(
             {
                 "name": name,
-                "unit": shown,
+                "unit": shown or "-",
                 "n": len(measured[part]),
                 "measured": packed(measured[part]),
                 "simulated": packed(simulated[part]),

@@ -10,6 +10,7 @@ from gbid.core.errors import UsageError
 from gbid.core.tables import engineering, exponent_of
 from gbid.report import plot_residuals, plot_response, save_figure
 from gbid.report.canvas import STYLE
+from gbid.report.sections import trace
 from gbid.validate import ResidualTest, Validation
 
 
@@ -203,6 +204,20 @@ def test_the_words_below_a_residual_figure_fit_into_it(residual_test, n_inputs):
     figure.draw_without_rendering()
     box = next(text for text in figure.texts if "shaded" in text.get_text()).get_window_extent()
     assert 0 <= box.x0 < box.x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize(("size", "unit"), [(9e-6, "µm"), (9e-3, "µm"), (4e-2, "mm")])
+def test_curves_of_long_ways_are_in_millimetres(validation, size, unit):
+    measured = validation.measured.copy()
+    measured[:, 0] *= size / np.abs(measured[:, 0]).max()
+    measured[5, 0] = np.nan
+    axes = plot_response(replace(validation, measured=measured))
+    assert axes[0].get_ylabel().endswith(f"[{unit}]")
+    assert np.nanmax(np.abs(axes[0].lines[0].get_ydata())) == pytest.approx(
+        size * {"µm": 1e6, "mm": 1e3}[unit], rel=0.05
+    )
+    output = trace(replace(validation, measured=measured))["outputs"][0]
+    assert output["unit"] == unit
 
 
 def test_engineering_numbers_read_back():
