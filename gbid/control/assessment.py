@@ -114,11 +114,6 @@ class PointAssessment:
         """Return the figures by which designs are compared, in the order of `FIGURES`."""
         return {name: figure.of(self) for name, figure in FIGURES.items()}
 
-    @property
-    def sampling_cost(self) -> float:
-        """Damping that is lost by sampling and computation; negative when their delay increases the damping."""
-        return self.damping - self.sampled_damping
-
 
 class Figure(NamedTuple):
     """Figure by which designs are compared: heading, value at a point, factor and format of tables."""

@@ -326,7 +326,7 @@ class _Drive:
     turns: int = 0
 
 
-def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
+def selftest_rows(chain: Chain) -> tuple[SelfTestRow, ...]:
     """Return the rows of the self-test.
 
     They start the chain, fade the control in, move the disc at random while pressure and speed change and the angle
@@ -337,14 +337,12 @@ def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
     ----------
     chain : Chain
         The chain.
-    seed : int
-        Seed of the random positions.
 
     Returns
     -------
     tuple of SelfTestRow
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(1)
     twin, rows = PythonChain(chain), []
     single = chain.options.number == "float"
     bounds = chain.point_bounds

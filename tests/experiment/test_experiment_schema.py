@@ -57,6 +57,9 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
     assert rig.operating_points[0].speed_rpm == 6000.0
 
 
+LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
@@ -83,22 +86,7 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("name: quick", "name: a/b", "name: a/b", ["'a/b' cannot be a name"]),
         ("format: 1", "format: 2", "format: 2", ["format", "expected 1", "found 2"]),
         ("prefilter:\n  harmonics: 6", "prefilter:", "prefilter:", ["is empty", "{}"]),
-    ],
-)
-def test_form_is_checked_with_position(tmp_path, old, new, place, words):
-    path = write_quick(tmp_path, (old, new))
-    (line,) = problems_of(path)
-    assert line.startswith(place_of(QUICK.replace(old, new), place) + ": ")
-    for word in words:
-        assert word in line
-
-
-LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "place", "words"),
-    [
+        # meaning
         ("speed_rpm: 6000", "speed_rpm: 8000", "speed_rpm: 8000", ["operating_points[0].speed_rpm", "0 to 6000"]),
         ("seed: 3", "model: nosuch", "model: nosuch", ["no model 'nosuch'", "theisen2016"]),
         ("20e-3", "20.05e-3", "hold_s: 20.05e-3", ["rig.prbs.hold_s", "whole number of samples"]),
@@ -135,7 +123,7 @@ LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
         ("from_s: 0.2, to_s: 0.4", "from_s: 2.0", "from_s: 2.0", ["beyond the end"]),
     ],
 )
-def test_meaning_is_checked_with_position(tmp_path, old, new, place, words):
+def test_form_and_meaning_are_checked_with_position(tmp_path, old, new, place, words):
     path = write_quick(tmp_path, (old, new))
     (line,) = problems_of(path)
     assert line.startswith(place_of(QUICK.replace(old, new), place) + ": ")

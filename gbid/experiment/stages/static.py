@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from gbid import characterise
 from gbid.core.errors import nearest
@@ -49,7 +48,6 @@ def static_makes_sense(experiment: Experiment) -> Found:
 # ---- Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): maps and curves from staircases.
 
 FOLDER = "static"
-_OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel", "settle_s", "limits")
 
 
 def static_tasks(job: Job) -> list[Task]:
@@ -80,11 +78,9 @@ def load_made_static(job: Job, name: str) -> characterise.StaticMap | characteri
         When the file is missing.
     """
     path = job.path(FOLDER, name)
-    return (
-        load(path, characterise.PiezoCurve)
-        if job.experiment.spec.static[name].kind == "piezo"
-        else load(path, characterise.StaticMap)
-    )
+    if job.experiment.spec.static[name].kind == "piezo":
+        return load(path, characterise.PiezoCurve)
+    return load(path, characterise.StaticMap)
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -98,19 +94,18 @@ def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 def _write(job: Job, part: Path, name: str) -> Made:
     section = job.experiment.spec.static[name]
-    options: dict[str, Any] = {key: getattr(section, key) for key in _OPTIONS if getattr(section, key) is not None}
+    options = section.model_dump(exclude={"kind", "recordings"}, exclude_none=True)
     data = []
     for planned in job.experiment.matching(section.recordings):
         data.append(load_made(job, planned))
         # The command rests at its limits and other axes do not move: only the measured signals are checked.
         measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
         refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
-    piezo = section.kind == "piezo"
-    result = (
-        characterise.characterise_piezo(data[0], **options)
-        if piezo
-        else characterise.characterise_staircase(data, **options)
-    )
+    result: characterise.PiezoCurve | characterise.StaticMap
+    if section.kind == "piezo":
+        result = characterise.characterise_piezo(data[0], **options)
+    else:
+        result = characterise.characterise_staircase(data, **options)
     save(result, part, overwrite=True)
     return Made("; ".join(result.notes))
 
