@@ -30,8 +30,8 @@ from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual
 
 TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double, so this order suffices when the norm is at most one
-_LARGEST = 20  # states, with more of which products by BLAS are faster than those of dual_exponentials.c
-_ROOM = 81  # numbers for each entry of a matrix that dual_exponentials.c holds on the way
+LARGEST = 20  # states, with more of which products by BLAS are faster than those of dual_predictor.c
+NUMBER = 9  # size of a number of dual_predictor.c: its value and its derivatives by eight parameters
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
 
 
@@ -58,7 +58,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
     Exponentials
         Of the same type as `Z`.
     """
-    if isinstance(Z, Dual) and Z.shape[0] <= _LARGEST and (function := _compiled()):
+    if isinstance(Z, Dual) and Z.shape[0] <= LARGEST and (function := compiled("gbid_exponentials")):
         return _of_dual(function, Z, squarings)
     eye: Any = ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[-1])
     Z = Z / 2.0**squarings
@@ -82,11 +82,11 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
 
 
 @cache
-def _compiled() -> Any:
-    """Return the function of dual_exponentials.c; None without a C compiler. Numpy then gives the same numbers."""
+def compiled(name: str) -> Any:
+    """Return a function of dual_predictor.c; None without a C compiler. Numpy then gives the same numbers."""
     try:
-        source = files("gbid.discretise").joinpath("dual_exponentials.c").read_text(encoding="utf-8")
-        return load_library(source).gbid_exponentials
+        source = files("gbid.discretise").joinpath("dual_predictor.c").read_text(encoding="utf-8")
+        return getattr(load_library(source), name)
     except CompilerMissingError:
         return None
 
@@ -95,7 +95,7 @@ def _of_dual(function: Any, Z: Dual, squarings: int) -> Exponentials:
     n, n_p = Z.shape[0], len(Z.slope)
     values, slopes = np.empty((3, *Z.value.shape)), np.zeros((3, *Z.slope.shape))
     sizes = (values[0].size // max(n * n, 1), n, n_p, squarings)
-    run_compiled(function, sizes, [Z.value, Z.slope], [np.empty(_ROOM * n * n), values, slopes])
+    run_compiled(function, sizes, [Z.value, Z.slope], [np.empty(9 * NUMBER * n * n), values, slopes])
     return Exponentials(*map(Dual, values, slopes))
 
 
@@ -339,9 +339,7 @@ def delayed_taps(
     h = sample_time
     doublings = None if near is None else near[1]
     seconds = near[0] if near else float(delay.value.flat[0]) if isinstance(delay, Dual) else float(delay)
-    if seconds < 0:
-        raise UsageError(f"delay = {seconds:g} s; it must not be negative")
-    shift = int(np.floor(seconds / h))
+    shift = whole_samples(seconds, h)
     early = (delay - shift * h) * (1 / h)  # share of the sample before the delayed input changes to its next piece
     rest = 1.0 - early
     whole, after = whole or over_sample(A, h, doublings), over_sample(A, rest * h, doublings)
@@ -352,6 +350,13 @@ def delayed_taps(
     rise_after = (after.phi2 @ b) * (rest * rest * h)
     rise_before = (whole.phi2 @ b) * h - rise_after - held_after * early + held_before * rest
     return Taps(shift, [rise_after, held_after - rise_after + rise_before, held_before - rise_before])
+
+
+def whole_samples(seconds: float, sample_time: float) -> int:
+    """Return the whole samples in a delay [s]; a negative one is refused."""
+    if seconds < 0:
+        raise UsageError(f"delay = {seconds:g} s; it must not be negative")
+    return int(np.floor(seconds / sample_time))
 
 
 # ---- Irregular times: intervals that are equal share their matrices.

@@ -11,17 +11,22 @@ import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray
+from gbid.core.compiled import run_compiled
 from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual, at_points, constant, side_by_side
 from gbid.discretise.exact import (
+    LARGEST,
+    NUMBER,
     Hold,
     check_holds,
+    compiled,
     delayed_taps,
     discretise,
     each,
     over_sample,
     squarings_for,
     step_numbers,
+    whole_samples,
 )
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
@@ -260,6 +265,9 @@ class Predictor(GeneralPredictor):
 
     def _parts(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[tuple[Dual, ...], list[int]]:
         """Return F, G, C and H, and the whole samples in the delays; with an axis of several steps where given."""
+        simple = steps is None and self.feedback is None and self.n_states <= LARGEST
+        if simple and (function := compiled("gbid_predictor")):
+            return self._compiled_parts(function, theta)
         (F, drive, C, feed, Kd), x0, shift = self._without_errors(theta, steps)
         n_y = self.n_outputs
         if self._has_impulse:
@@ -268,6 +276,27 @@ class Predictor(GeneralPredictor):
             return (F, drive, C, feed), shift
         none = constant(np.zeros((n_y, n_y)), len(self.free))
         return (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none])), shift
+
+    def _compiled_parts(self, function: Any, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
+        """Return what `_parts` does, without a sampled controller, from one call of a compiled function."""
+        flat, jacobian = self._numbers(theta)
+        A, acting, late, delay, x0, C, feed = self._split(flat, jacobian, np.ndim(theta))
+        n, n_p, n_y = A.shape[0], len(self.free), self.n_outputs
+        n_prompt, n_late, n_feed, impulse = len(self.prompt), late.shape[1], feed.shape[1], self._has_impulse
+        n_error = acting.shape[1] - n_prompt
+        columns = n + n_feed + impulse + n_error
+        doublings = squarings_for([each(A)[0] * self.sample_time])
+        shift = [whole_samples(seconds, self.sample_time) for seconds in each(delay)[0, :, 0].tolist()]
+        straight = np.array([self.holds[i] == "foh" for i in (*self.prompt, *self.delayed)], np.int64)
+        values, slopes = np.empty((len(flat), n, columns)), np.zeros((n_p, len(flat), n, columns))
+        sizes = (n, n_prompt, n_error, n_late, n_feed, columns, impulse, n_p, flat.shape[1], doublings)
+        room = 10 * n * n + n * (2 * (n_prompt + n_error + n_late) + 3 + columns) + flat.shape[1]
+        given = [np.array([self.sample_time, *shift]), straight, flat, jacobian]
+        run_compiled(function, (len(flat), *sizes), given, [np.empty(NUMBER * room), values, slopes])
+        onto = Dual(values, slopes) if np.ndim(theta) > 1 else Dual(values[0], slopes[:, 0])
+        more = [C @ x0] if impulse else []
+        H = side_by_side([feed, *more, constant(np.zeros((n_y, n_error)), n_p)])
+        return (onto.columns(slice(0, n)), onto.columns(slice(n, None)), C, H), shift
 
     def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
@@ -285,7 +314,7 @@ class Predictor(GeneralPredictor):
         doublings = squarings_for([each(evaluated[0])[0] * (step if steps is None else steps[-1])])
         if steps is not None:
             evaluated, step = [at_points(part, steps.shape) for part in evaluated], steps[:, None, None]
-        A, acting, C, feed, late, delay, x0, *law = evaluated
+        A, acting, late, delay, x0, C, feed, *law = evaluated
         n_p, n_y, n, n_prompt, lead = len(self.free), self.n_outputs, A.shape[0], len(self.prompt), self._lead
         prompt, whole = slice(0, n_prompt), over_sample(A, step, doublings)
         holds = [*(self.holds[i] for i in self.prompt), *["zoh"] * (acting.shape[1] - n_prompt)]
@@ -323,7 +352,7 @@ class Predictor(GeneralPredictor):
         They are those of continuous time. Of a loop with a sampled controller they are those of the loop from sample to
         sample.
         """
-        A, acting, C, feed, late, delay, *_ = self._evaluate(theta)
+        A, acting, late, delay, _, C, feed, *_ = self._evaluate(theta)
         by_input, n_prompt = np.eye(self.n_inputs), len(self.prompt)
         B, D = (part.columns(slice(0, n_prompt)) @ by_input[list(self.prompt)] for part in (acting, feed))
         B_delayed = late @ by_input[list(self.delayed)]
@@ -347,9 +376,13 @@ class Predictor(GeneralPredictor):
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        return np.pad(self._evaluate(theta)[6].value[:, 0], (0, self.spare))
+        return np.pad(self._evaluate(theta)[4].value[:, 0], (0, self.spare))
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
+        return self._split(*self._numbers(theta), np.ndim(theta))
+
+    def _numbers(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the entries of all matrices, (n_points, n), and their derivatives, (n_points, n_p, n)."""
         points = np.ascontiguousarray(theta, float).reshape(-1, len(self.free))
         flat = np.empty((len(points), self._function.nnz_out(0)))
         jacobian = np.empty((len(points), len(self.free), flat.shape[1]))
@@ -360,7 +393,11 @@ class Predictor(GeneralPredictor):
             buffer.set_res(0, values.data)
             buffer.set_res(1, slopes.reshape(-1).data)
             call()
-        flat, jacobian = (flat[0], jacobian[0]) if np.ndim(theta) == 1 else (flat, jacobian.swapaxes(0, 1))
+        return flat, jacobian
+
+    def _split(self, flat: FloatArray, jacobian: FloatArray, n_axes: int) -> list[Dual]:
+        """Return the matrices; without an axis of points where the parameters had none."""
+        flat, jacobian = (flat[0], jacobian[0]) if n_axes == 1 else (flat, jacobian.swapaxes(0, 1))
         result, start = [], 0
         for shape in self._shapes:
             entries = slice(start, start + shape[0] * shape[1])
@@ -480,7 +517,7 @@ def _built(
     acting = ca.horzcat(m.B[:, prompt], *law[4:5], *[K] * feeds_back)
     n_driven = sum(holds[i] == "foh" for i in prompt) + sum(3 if holds[i] == "foh" else 2 for i in delayed)
     feed = ca.horzcat(m.D[:, prompt], ca.SX(n_y, n_driven), disturbances.matrix(coefficients, n_y))
-    matrices = [m.A, acting, m.C, feed, m.B_delayed[:, delayed], m.delay, x0, *law]
+    matrices = [m.A, acting, m.B_delayed[:, delayed], m.delay, x0, m.C, feed, *law]
     seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
@@ -491,8 +528,8 @@ def _built(
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
-    matrices[5] = matrices[5][delayed] if delayed else ca.SX(0, 1)
-    matrices[6] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[6]
+    matrices[3] = matrices[3][delayed] if delayed else ca.SX(0, 1)
+    matrices[4] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[4]
     symbols = [p[i] for i, q in enumerate(structure.parameters) if q in free]
     theta = ca.vertcat(*symbols, gain_symbols, *coefficients)
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix.T)) for matrix in matrices))  # row by row, as numpy has them
