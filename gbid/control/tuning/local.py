@@ -280,6 +280,8 @@ _LATE, _EARLY = 30, 15
 behind does; those that reach it have reached it by then."""
 _SETTLED = 1e-5
 """Rise below which a local search ends."""
+_LEAST_GAIN = 1e-9
+"""Gain in merit, promised or reached, below which a step is in vain."""
 _MOVED = 1e-3
 """By how much the corrections of a move to coalescing eigenvalues may raise the objective."""
 
@@ -372,7 +374,7 @@ def _sqp(
             penalty = max(penalty, 2.0 * first.limit_weight if first.keeps_limits else 0.0)
             improvement = merit(problem.score(x + first.move, floor), penalty) - floor
         steps: list[RidgeStep] = []
-        if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= 1e-13):
+        if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= _LEAST_GAIN):
             groups = meetings(problem, x, functions) if groups is None else groups
             # steps at whose ends eigenvalues nearly meet, the most promising first
             possible = [ridge_step(functions, group, H, width, box, penalty) for group in groups]
@@ -387,7 +389,7 @@ def _sqp(
             gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor
             if gained > improvement:
                 best, improvement = replace(step, move=move), gained
-        if first is not None and max([first.gain, *(step.gain for step in steps)]) <= 1e-13:
+        if first is not None and max([first.gain, *(step.gain for step in steps)]) <= _LEAST_GAIN:
             return LocalOptimum(x, functions.score, iteration, True)
         # a step to coalescence may promise a loss, but it is accepted only when it improves the merit
         promised = np.inf if best is None else max(best.gain, 0.0)
@@ -401,7 +403,7 @@ def _sqp(
             radius = min(2 * radius, 0.5)
         elif not good:
             radius *= 0.35
-        stalled = stalled + 1 if improvement < 1e-9 else 0
+        stalled = stalled + 1 if improvement < _LEAST_GAIN else 0
         if radius < 1e-9 or stalled > 12:
             return LocalOptimum(x, functions.score, iteration, True)
         reached = merit(functions.score)
