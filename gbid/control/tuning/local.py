@@ -271,6 +271,34 @@ class LocalOptimum:
     certificate: Certificate | None = None
 
 
+@dataclass(frozen=True)
+class Goal:
+    """What an optimum must be to have a use: a local search that will hardly find such a one ends.
+
+    Parameters
+    ----------
+    merit : float
+        Merit that it must reach.
+    pace : float
+        By what share of it a local search may be behind for each iteration that is left to reach it.
+    known : tuple of LocalOptimum
+        Optima from which it must differ.
+    near : float or (d,) array
+        Distances of the gains from a known optimum within which a design of lower merit leads back to it.
+    """
+
+    merit: float = -np.inf
+    pace: float = np.inf
+    known: tuple[LocalOptimum, ...] = ()
+    near: float | FloatArray = 0.0
+
+    def known_at(self, x: FloatArray, reached: float) -> LocalOptimum | None:
+        """Return the known optimum to which a design of some merit leads back; None where there is none."""
+        back = (one for one in self.known if reached <= merit(one.score) and (np.abs(x - one.x) <= self.near).all())
+        return next(back, None)
+
+
+_ANY = Goal()
 _JUDGED = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
@@ -293,8 +321,7 @@ def optimise_locally(
     radius: float = 0.1,
     max_iterations: int = 200,
     plain: bool = False,
-    goal: float = -np.inf,
-    pace: float = np.inf,
+    goal: Goal = _ANY,
     repair: bool = True,
 ) -> LocalOptimum:
     r"""Return a local optimum.
@@ -321,10 +348,8 @@ def optimise_locally(
         Largest number of iterations.
     plain : bool
         Whether H stays zero and no steps to coalescence are tried: a third of the time for a design near the optimum.
-    goal : float
-        Merit below which the optimum has no use: the local search ends when it will hardly be reached.
-    pace : float
-        By what share of its goal a local search may be behind for each iteration that is left to reach it.
+    goal : Goal
+        What the optimum must be to have a use.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
 
@@ -333,17 +358,15 @@ def optimise_locally(
     LocalOptimum
     """
     x = np.clip(start, problem.lower, problem.upper)
-    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, pace, PENALTY)
-    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > goal:
-        optimum = repaired(problem, optimum, plain, goal, pace)
+    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, PENALTY)
+    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > goal.merit:
+        optimum = repaired(problem, optimum, plain, goal)
     return optimum
 
 
-def repaired(
-    problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: float = -np.inf, pace: float = np.inf
-) -> LocalOptimum:
+def repaired(problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: Goal = _ANY) -> LocalOptimum:
     """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
-    again = _sqp(problem, design.x, 1e-3, 40, plain, goal, pace, 1e3 * PENALTY)
+    again = _sqp(problem, design.x, 1e-3, 40, plain, goal, 1e3 * PENALTY)
     return replace(again, iterations=design.iterations + again.iterations)
 
 
@@ -353,8 +376,7 @@ def _sqp(
     radius: float,
     max_iterations: int,
     plain: bool,
-    goal: float,
-    pace: float,
+    goal: Goal,
     penalty: float,
 ) -> LocalOptimum:
     width = problem.upper - problem.lower
@@ -407,14 +429,16 @@ def _sqp(
         if radius < 1e-9 or stalled > 12:
             return LocalOptimum(x, functions.score, iteration, True)
         reached = merit(functions.score)
-        if iteration % 5 == 0 and iteration >= _EARLY and goal > -np.inf:
+        if good and (back := goal.known_at(x, reached)) is not None:
+            return back
+        if iteration % 5 == 0 and iteration >= _EARLY and goal.merit > -np.inf:
             left = max(_LATE - iteration, 0)
-            if reached < goal - (pace * left * abs(goal) if left else 0.0):
+            if reached < goal.merit - (goal.pace * left * abs(goal.merit) if left else 0.0):
                 return LocalOptimum(x, functions.score, iteration, False)
         if iteration % _JUDGED == 0:
             rise, before = max(reached - before, 0.0), reached
-            if reached + _HOPE * rise < goal:
+            if reached + _HOPE * rise < goal.merit:
                 return LocalOptimum(x, functions.score, iteration, False)
-            if rise < _SETTLED and (iteration >= _LATE or reached > goal > -np.inf):
+            if rise < _SETTLED and (iteration >= _LATE or reached > goal.merit > -np.inf):
                 return LocalOptimum(x, functions.score, iteration, True)
     return LocalOptimum(x, functions.score, max_iterations, False)

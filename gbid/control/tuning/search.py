@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.local import LocalOptimum, optimise_locally
+from gbid.control.tuning.local import Goal, LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
@@ -196,18 +196,22 @@ class LocalSearch:
         """
         if self.free:
             return self.full(start)
-        radius, few, pace = 0.02 if again else 0.1, self.options.short, self.options.pace
+        radius, few, to_reach = 0.02 if again else 0.1, self.options.short, Goal(goal, self.options.pace)
         end = optimise_locally(
-            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, pace=pace, repair=False
+            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=to_reach, repair=False
         )
         return self._stable_one(start, end)
 
-    def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
-        """Return a local optimum; less good where it will not soon reach a goal."""
+    def full(self, start: FloatArray, goal: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
+        """Return a local optimum, or a known one if it leads back to that; less good where it misses a goal."""
         # eigenvalues that have met move along a curved surface: that takes more iterations, and no goal tells how many
-        iterations, goal = (2 * self.options.full, -np.inf) if self.free else (self.options.full, goal)
-        end = optimise_locally(self.problem, start, max_iterations=iterations, goal=goal, pace=self.options.pace)
+        iterations = 2 * self.options.full if self.free else self.options.full
+        end = optimise_locally(self.problem, start, max_iterations=iterations, goal=self._goal(goal, known))
         return self._stable_one(start, end)
+
+    def _goal(self, reached: float, known: tuple[LocalOptimum, ...]) -> Goal:
+        """Return the goal of a local search beside known optima; none where eigenvalues that have met creep."""
+        return Goal() if self.free else Goal(reached, self.options.pace, known, self.options.neighbours * self.unit)
 
     def _stable_one(self, start: FloatArray, end: LocalOptimum) -> LocalOptimum:
         """Return the end of a local search; its start where it went from stable loops to unstable ones.
@@ -220,11 +224,10 @@ class LocalSearch:
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
-        width, goal = self.problem.upper - self.problem.lower, rank(best)
-        if self.free:
-            width, goal = np.maximum(self.unit, np.abs(best.x)), -np.inf
+        width = np.maximum(self.unit, np.abs(best.x)) if self.free else self.problem.upper - self.problem.lower
         x, radius = best.x + size * rng.standard_normal(len(best.x)) * width, self.options.hop_radius
-        end = optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=goal, pace=self.options.pace)
+        goal = self._goal(rank(best), (best,))
+        end = optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=goal)
         return self._stable_one(best.x, end)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
@@ -679,7 +682,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         if any((np.abs(design.x - other.x) <= same).all() for other in finals):
             continue
         goal = max(map(rank, finals), default=-np.inf) if many else -np.inf  # of few, each may be a curved valley
-        finals.append(design if problem.evaluations.exhausted else local.full(design.x, goal))
+        finals.append(design if problem.evaluations.exhausted else local.full(design.x, goal, tuple(finals)))
         note("local", best_of(finals))
     if d in GRID or local.settled(finals):
         ends = [best_of(finals)]
