@@ -171,7 +171,7 @@ def back_to_meeting(
 
     def corrected(move: FloatArray, inverse: FloatArray, powers: ComplexArray) -> FloatArray:
         change = inverse @ np.concatenate([powers.real, powers.imag])
-        return np.asarray(np.clip(x + move - change * width, problem.lower, problem.upper) - x)
+        return np.asarray(np.minimum(np.maximum(x + move - change * width, problem.lower), problem.upper) - x)
 
     inner = (x + move > problem.lower) & (x + move < problem.upper)
     scaled = width * inner if inner.sum() >= sum(len(one.rows) for one in group) else width
@@ -250,13 +250,14 @@ def _sums(
     problem: GainProblem, x: FloatArray, means: tuple[ActiveFunction, ...], places: list[complex]
 ) -> tuple[dict[tuple[int, int], ComplexArray], list[tuple[complex, ComplexArray]]]:
     """Return the eigenvalues of the loops of some clusters at a design, and means and power sums of the clusters."""
-    states = {mean.family: problem.families[mean.family].states(x) for mean in means}
-    loops = {(mean.family, mean.loop) for mean in means}
-    spectra = {(f, loop): eigenvalues(states[f][loop][None])[0] for f, loop in loops}
+    spectra: dict[tuple[int, int], ComplexArray] = {}
     sums = []
     for mean, place in zip(means, places, strict=True):
-        values = spectra[mean.family, mean.loop]
-        nearest = np.argsort(np.abs(values - place), kind="stable")[: mean.size]
+        f, loop = mean.family, mean.loop
+        if (f, loop) not in spectra:
+            spectra[f, loop] = eigenvalues(problem.families[f].states(x, slice(loop, loop + 1)))[0]
+        values = spectra[f, loop]
+        nearest = np.abs(values - place).argsort(kind="stable")[: mean.size]
         sums.append(power_sums(values[nearest], max(abs(place), 0.01 * problem.scale)))
     return spectra, sums
 

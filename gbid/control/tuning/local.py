@@ -272,7 +272,7 @@ class LocalOptimum:
 
 
 @dataclass(frozen=True)
-class Goal:
+class MeritGoal:
     """What an optimum must be to have a use: a local search that will hardly find such a one ends.
 
     Parameters
@@ -298,7 +298,7 @@ class Goal:
         return next(back, None)
 
 
-_ANY = Goal()
+_ANY = MeritGoal()
 _JUDGED = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
@@ -321,7 +321,7 @@ def optimise_locally(
     radius: float = 0.1,
     max_iterations: int = 200,
     plain: bool = False,
-    goal: Goal = _ANY,
+    goal: MeritGoal = _ANY,
     repair: bool = True,
 ) -> LocalOptimum:
     r"""Return a local optimum.
@@ -348,7 +348,7 @@ def optimise_locally(
         Largest number of iterations.
     plain : bool
         Whether H stays zero and no steps to coalescence are tried: a third of the time for a design near the optimum.
-    goal : Goal
+    goal : MeritGoal
         What the optimum must be to have a use.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
@@ -364,7 +364,7 @@ def optimise_locally(
     return optimum
 
 
-def repaired(problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: Goal = _ANY) -> LocalOptimum:
+def repaired(problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: MeritGoal = _ANY) -> LocalOptimum:
     """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
     again = _sqp(problem, design.x, 1e-3, 40, plain, goal, 1e3 * PENALTY)
     return replace(again, iterations=design.iterations + again.iterations)
@@ -376,7 +376,7 @@ def _sqp(
     radius: float,
     max_iterations: int,
     plain: bool,
-    goal: Goal,
+    goal: MeritGoal,
     penalty: float,
 ) -> LocalOptimum:
     width = problem.upper - problem.lower

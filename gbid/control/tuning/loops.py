@@ -205,9 +205,9 @@ class LoopFamily(ABC):
         near = np.stack([self.core(moved) for moved in gains + np.diag(steps)], axis=1)
         return np.asarray((near - self.core(gains)[:, None]) / steps[:, None, None, None])
 
-    def states(self, gains: FloatArray) -> FloatArray:
-        """Return A (m, n, n)."""
-        return self.matrices(gains).A
+    def states(self, gains: FloatArray, loops: slice = slice(None)) -> FloatArray:
+        """Return A of some loops (m, n, n)."""
+        return self.matrices(gains).A[loops]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -645,10 +645,15 @@ class ControlLoops(LoopFamily):
         kept = slice(None) if self.ports is None else [*range(n), *(n + row for row in ports.rows)]
         return rest[:, kept], left[:, kept], right, through
 
-    def matrices(self, gains: FloatArray) -> Loops:
-        """Return the matrices of all loops."""
+    def states(self, gains: FloatArray, loops: slice = slice(None)) -> FloatArray:
+        """Return A of some loops (m, n, n)."""
+        return self.matrices(gains, loops).A
+
+    def matrices(self, gains: FloatArray, loops: slice = slice(None)) -> Loops:
+        """Return the matrices of some loops."""
         K = self.law.in_plane(self._calls[0](gains)[0])
-        rest, left, right, E = self._frame
+        K = K[loops] if self.law.scheduled else K
+        rest, left, right, E = (part[loops] for part in self._frame)
         if E.any():
             K = inverses(np.eye(K.shape[-2]) - K @ E) @ K
         system, n = rest + left @ K @ right, self.plants.A.shape[-1] + self.law.n_states

@@ -272,8 +272,8 @@ def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray
     """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
     size = len(values)
     mean = complex(values.sum() / size)
-    distances = (values - mean) / rate
-    return mean, np.array([(distances**j).sum() / size for j in range(2, size + 1)])
+    powers = np.multiply.accumulate(np.broadcast_to((values - mean) / rate, (size, size)))
+    return mean, powers[1:].sum(axis=1) / size
 
 
 class SchurForm(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.local import Goal, LocalOptimum, optimise_locally
+from gbid.control.tuning.local import LocalOptimum, MeritGoal, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
@@ -196,7 +196,7 @@ class LocalSearch:
         """
         if self.free:
             return self.full(start)
-        radius, few, to_reach = 0.02 if again else 0.1, self.options.short, Goal(goal, self.options.pace)
+        radius, few, to_reach = 0.02 if again else 0.1, self.options.short, MeritGoal(goal, self.options.pace)
         end = optimise_locally(
             self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=to_reach, repair=False
         )
@@ -209,9 +209,13 @@ class LocalSearch:
         end = optimise_locally(self.problem, start, max_iterations=iterations, goal=self._goal(goal, known))
         return self._stable_one(start, end)
 
-    def _goal(self, reached: float, known: tuple[LocalOptimum, ...]) -> Goal:
+    def _goal(self, reached: float, known: tuple[LocalOptimum, ...]) -> MeritGoal:
         """Return the goal of a local search beside known optima; none where eigenvalues that have met creep."""
-        return Goal() if self.free else Goal(reached, self.options.pace, known, self.options.neighbours * self.unit)
+        return (
+            MeritGoal()
+            if self.free
+            else MeritGoal(reached, self.options.pace, known, self.options.neighbours * self.unit)
+        )
 
     def _stable_one(self, start: FloatArray, end: LocalOptimum) -> LocalOptimum:
         """Return the end of a local search; its start where it went from stable loops to unstable ones.
@@ -472,7 +476,7 @@ def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArra
         T = family.sample_time
         aims = problem.aim(true_rates(eigenvalues(family.states(neutral)[own]), T), T)
         one = own[int(np.nan_to_num(aims).min(axis=1).argmin())]
-        rates = true_rates(eigenvalues(np.stack([family.states(x)[one] for x in designs])), T)
+        rates = true_rates(eigenvalues(np.concatenate([family.states(x, slice(one, one + 1)) for x in designs])), T)
         value = np.minimum(value, problem.aim(rates, T).min(axis=1))
         slow = np.maximum(slow, rates.real.max(axis=1))
     merit = value - PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
