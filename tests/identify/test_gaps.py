@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy
 from experiment_files import gbid as cli
+from fit_cases import assert_derivatives
 
 import gbid
 from gbid import LinearStructure, Parameter, Recording
@@ -96,14 +97,7 @@ def test_the_likelihood_is_that_of_a_kalman_filter(focus, n_y, every):
 
 def test_derivatives_are_those_of_the_cost():
     problem = gbid.fit_problem(structure(2), made(2, 300, n_y=2, every=3))
-    x = problem.start + 0.01 * np.random.default_rng(0).standard_normal(len(problem.start))
-    gradient, jacobian = np.asarray(problem.gradient(x)).ravel(), np.asarray(ca.DM(problem.jacobian(x)))
-    for i in range(7):
-        step = np.eye(len(x))[i] * 1e-5
-        after, before = (float(problem.cost(x + s)) for s in (step, -step))
-        assert gradient[i] == pytest.approx((after - before) / 2e-5, rel=1e-5, abs=1e-8)
-        rows = [np.asarray(problem.constraints(x + s)).ravel() for s in (step, -step)]
-        np.testing.assert_allclose(jacobian[:, i], (rows[0] - rows[1]) / 2e-5, rtol=1e-4, atol=1e-7)
+    assert_derivatives(problem, 7)
 
 
 def test_whole_samples_that_are_missing_do_not_count_and_the_fast_pass_runs():

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from experiment_files import gbid as cli
+from fit_cases import assert_derivatives
 
 import gbid
 from benchmarks.running import DOCS
@@ -76,14 +77,7 @@ def test_derivatives_are_those_of_the_cost():
     rec = made("jitter", 2, "foh", 300, errors="fed back")
     lost = np.where(np.arange(300) % 7 == 3, np.nan, rec.signals["y"][:, 0])
     problem = gbid.fit_problem(structure(), rec.with_signals(y=lost), intersample="foh", trend="linear")
-    x = problem.start + 0.01 * np.random.default_rng(0).standard_normal(len(problem.start))
-    gradient, jacobian = np.asarray(problem.gradient(x)).ravel(), np.asarray(ca.DM(problem.jacobian(x)))
-    for i in range(9):
-        step = np.eye(len(x))[i] * 1e-5
-        after, before = (float(problem.cost(x + s)) for s in (step, -step))
-        assert gradient[i] == pytest.approx((after - before) / 2e-5, rel=1e-5, abs=1e-8)
-        rows = [np.asarray(problem.constraints(x + s)).ravel() for s in (step, -step)]
-        np.testing.assert_allclose(jacobian[:, i], (rows[0] - rows[1]) / 2e-5, rtol=1e-4, atol=1e-7)
+    assert_derivatives(problem, 9)
 
 
 def test_the_likelihood_with_missing_outputs_is_that_of_a_kalman_filter():

@@ -1,6 +1,8 @@
 """Structures, data and plain loops that the tests of identification share."""
 
+import casadi as ca
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from gbid.identify.data import FitData, Record
@@ -145,3 +147,15 @@ def predicted(model, u, y, h, holds, x0, feedback):
             slope = linear * (u[k + 1] - u[k]) / h
             x = step @ np.concatenate([x, u[k], slope, y[k] - yhat])
     return np.array(rows)
+
+
+def assert_derivatives(problem, n):
+    """Compare gradient and Jacobian of a fit problem with differences in its first `n` variables, near the start."""
+    x = problem.start + 0.01 * np.random.default_rng(0).standard_normal(len(problem.start))
+    gradient, jacobian = np.asarray(problem.gradient(x)).ravel(), np.asarray(ca.DM(problem.jacobian(x)))
+    for i in range(n):
+        step = np.eye(len(x))[i] * 1e-5
+        after, before = (float(problem.cost(x + s)) for s in (step, -step))
+        assert gradient[i] == pytest.approx((after - before) / 2e-5, rel=1e-5, abs=1e-8)
+        rows = [np.asarray(problem.constraints(x + s)).ravel() for s in (step, -step)]
+        np.testing.assert_allclose(jacobian[:, i], (rows[0] - rows[1]) / 2e-5, rtol=1e-4, atol=1e-7)
