@@ -150,7 +150,7 @@ def black_box(records: Sequence[Record], order: int, *, feedthrough: bool, lags:
     scale_u = np.concatenate([r.inputs for r in records]).std(0)
     scale_u = np.where(scale_u > 0, scale_u, 1.0)
     scaled = [(r.outputs[:_ENOUGH] / scale_y, r.inputs[:_ENOUGH] / scale_u) for r in records]
-    tried = [_regress(scaled, p, most, feedthrough) for p in ([lags] if lags else _lag_choices(least, most))]
+    tried = _regressions(scaled, [lags] if lags else _lag_choices(least, most), most, feedthrough)
     return _states(scaled, min(tried, key=lambda each: each.criterion), order, (scale_y, scale_u))
 
 
@@ -160,7 +160,7 @@ class _Regression:
     coefficients: FloatArray  # (n_z, n_y)
     inverse: FloatArray  # (n_z, n_z)
     noise: FloatArray  # (n_y, n_y)
-    triangle: FloatArray  # R of the past without the present input
+    triangle: FloatArray  # R; its first columns are those of the past, without the present input
     criterion: float
 
 
@@ -176,12 +176,29 @@ def _past(y: FloatArray, u: FloatArray, lags: int, first: int, last: int) -> Flo
     return np.hstack([signal[first - i : last - i] for signal in (y, u) for i in range(1, lags + 1)])
 
 
-def _regress(scaled: Sequence[tuple[FloatArray, FloatArray]], lags: int, skip: int, feedthrough: bool) -> _Regression:
-    Z = np.vstack([_past(y, u, lags, skip, len(y)) for y, u in scaled])
-    now = np.vstack([u[skip:] for _, u in scaled])
-    Y = np.vstack([y[skip:] for y, _ in scaled])
+def _regressions(
+    scaled: Sequence[tuple[FloatArray, FloatArray]], choices: Sequence[int], skip: int, feedthrough: bool
+) -> list[_Regression]:
+    """Return the regressions of the samples from `skip` on for increasing numbers of lags.
+
+    The triangle of the longest one, with the outputs as last columns, stands for all: it has the products of all rows.
+    """
+    longest, (n_y, n_u) = choices[-1], (signals.shape[1] for signals in scaled[0])
+    past = np.vstack([_past(y, u, longest, skip, len(y)) for y, u in scaled])
+    now = [np.vstack([u[skip:] for _, u in scaled])] if feedthrough else []
+    outputs = np.vstack([y[skip:] for y, _ in scaled])
     constants = _constants(scaled, skip)
-    X = np.hstack([Z, *([now] if feedthrough else []), constants])
+    rows: FloatArray = np.asarray(np.linalg.qr(np.hstack([past, *now, constants, outputs]), mode="r"))
+    rest = list(range(past.shape[1], rows.shape[1] - n_y))
+    regressions = []
+    for p in choices:
+        columns = [*range(p * n_y), *range(longest * n_y, longest * n_y + p * n_u), *rest]
+        regressions.append(_regress(rows[:, columns], rows[:, -n_y:], p, len(outputs), constants.shape[1]))
+    return regressions
+
+
+def _regress(X: FloatArray, Y: FloatArray, lags: int, n: int, n_constants: int) -> _Regression:
+    """Return the regression of Y on X, whose products are those of n samples; the last columns of X are constants."""
     Q, R = np.linalg.qr(X)
     # Directions that the data do not excite, as in a free decay without noise, get no part of the coefficients.
     U, S, Vt = np.linalg.svd(R)
@@ -189,12 +206,11 @@ def _regress(scaled: Sequence[tuple[FloatArray, FloatArray]], lags: int, skip: i
     pseudo = (Vt[keep].T / S[keep]) @ U[:, keep].T
     coefficients = pseudo @ (Q.T @ Y)
     left = Y - X @ coefficients
-    n = len(Y)
     noise = left.T @ left / max(n - int(keep.sum()), 1)
     _, log_det = np.linalg.slogdet(noise + 1e-24 * np.eye(Y.shape[1]))
     criterion = n * float(log_det) + 2 * int(keep.sum()) * Y.shape[1]
-    n_z = X.shape[1] - constants.shape[1]
-    return _Regression(lags, coefficients[:n_z], (pseudo @ pseudo.T)[:n_z, :n_z], noise, R[:, : Z.shape[1]], criterion)
+    n_z, inverse = X.shape[1] - n_constants, pseudo @ pseudo.T
+    return _Regression(lags, coefficients[:n_z], inverse[:n_z, :n_z], noise, R, criterion)
 
 
 def _constants(scaled: Sequence[tuple[FloatArray, FloatArray]], skip: int) -> FloatArray:
@@ -223,7 +239,7 @@ def _states(
         blocks[i, :, : (p - i) * n_y] = auto[i:].transpose(1, 0, 2).reshape(n_y, -1)
         blocks[i, :, p * n_y : p * n_y + (p - i) * n_u] = cross[i:].transpose(1, 0, 2).reshape(n_y, -1)
     H = blocks.reshape(p * n_y, -1)
-    U, S, _ = np.linalg.svd(H @ regression.triangle.T, full_matrices=False)
+    U, S, _ = np.linalg.svd(H @ regression.triangle[:, : H.shape[1]].T, full_matrices=False)
     n = min(order, int((1e-12 * S[0] < S).sum()))
     project = (U[:, :n] / np.sqrt(S[:n])).T @ H
     states = [_past(y, u, p, p, len(y)) @ project.T for y, u in scaled]
