@@ -16,6 +16,7 @@ from gbid.identify.predictor import GeneralPredictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sums
 _LONGEST_WITH_GAPS = 64  # the same where numpy runs all blocks side by side, sample by sample
+_KEPT_BYTES = 2**21  # regressors that stay where others are made: those of a short record are wanted again soon
 _AT_ONCE = 32_768  # samples whose regressors are made together
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
 
@@ -210,8 +211,9 @@ class Blocks:
         return self._ends[0][1]
 
     def release(self) -> None:
-        """Free the memory of the regressors, the largest of a fit; they are made anew when they are needed again."""
-        self._regressors.clear()
+        """Free the memory of large regressors, which are made anew when they are needed: in less time than a pass."""
+        if sum(rows.nbytes for rows in self._regressors.values()) > _KEPT_BYTES:
+            self._regressors.clear()
 
     def _rows(self, shift: tuple[int, ...]) -> Iterator[FloatArray]:
         """Yield the regressors of some blocks after the other, in memory that is soon used again."""

@@ -40,8 +40,10 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     parts, firsts = [], []
     for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
         blocks = part.blocks
-        long = blocks.length >= _LONG
-        joined = blocks.by_whole_segments() if long else cut(blocks.segments, part.predictor, None)
+        joined = blocks.by_whole_segments()
+        if blocks.length < _LONG:
+            joined = cut(blocks.segments, part.predictor, None)
+            blocks.release()
         parts.append(replace(part, blocks=joined))
         firsts.append(first + blocks.segment_first)
     first_windows, extra = np.concatenate(firsts), problem.extra

@@ -175,6 +175,7 @@ def information_over_records(
     for v, part, starts in at.parts():
         if observed or part.blocks.length < block:  # sensitivities are made of short blocks
             cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
+            part.blocks.release()
         else:
             cuts.append(part.blocks.by_whole_segments())
         passes.append(part.kernel.trace(v, cuts[-1], starts[part.blocks.segment_first], weights))
@@ -182,7 +183,10 @@ def information_over_records(
     by_weight = list(zip(*sums, strict=True))
     chains = _chains(at, by_weight[0])
     if observed:
+        for blocks in cuts:
+            blocks.release()
         omitted = _omitted(at, by_weight[0], weight)
+        problem.release()
         more = [_symmetric(each, part.tie) for part, each in zip(problem.parts, omitted, strict=True)]
         exact = (
             replace(s, hessian=s.hessian + each.theta, hessian_mixed=s.hessian_mixed + each.mixed)
@@ -312,11 +316,6 @@ class _Passed:
         self._v, self._part, _ = part
         self._blocks, self._linked = blocks, traced.linked
         self._prediction = self._part.kernel.passed(self._v, blocks, traced.begin)
-        self._errors, used = (
-            values.transpose(0, 3, 1, 2).reshape(-1, blocks.length, values.shape[2])  # block by block
-            for values in (self._prediction.errors, blocks.used[:, :, None])
-        )
-        self._counted = used[:, :, 0] > 0
 
     @cached_property
     def feedback(self) -> PredictorValues | None:
@@ -339,7 +338,11 @@ class _Passed:
         if tie is not None:
             by_theta = np.einsum("op,yot->ypt", tie, psi[:, : len(tie)], optimize=True)
             psi = np.concatenate([by_theta, psi[:, len(tie) :]], axis=1)
-        errors, counted = self._errors[some].reshape(-1, n_y)[:n_samples], self._counted[some].ravel()[:n_samples]
+        errors, used = (
+            blocks.side_by_side(values, some).transpose(2, 0, 1).reshape(-1, values.shape[2])[:n_samples]
+            for values in (self._prediction.errors, blocks.used[:, :, None])
+        )
+        counted = used[:, 0] > 0
         segment, first = blocks.window_samples[i]
         if segment.missing is not None:  # their sensitivities are zero; the colour is that of the errors around
             missing = segment.missing[first : first + n_samples]
