@@ -261,7 +261,11 @@ def column_means(values: FloatArray) -> FloatArray:
 
 def column_variances(values: FloatArray) -> FloatArray:
     """Return the variance of each column of samples (n, n_columns)."""
-    return np.array([column.var() for column in values.T])
+    squares, variances = np.empty(len(values)), []
+    for column in values.T:
+        np.square(np.subtract(column, column.mean(), out=squares), out=squares)
+        variances.append(squares.mean())
+    return np.array(variances)
 
 
 def centred_rows(values: FloatArray) -> FloatArray:

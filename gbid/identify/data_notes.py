@@ -78,10 +78,13 @@ def _spikes(record: Record, names: Sequence[str], left_out: Sequence[tuple[int, 
     counts = np.ones(record.n_samples, bool)
     for start, stop in left_out:
         counts[start:stop] = False
+    rank, (size, ordered) = int(0.99 * record.n_samples), np.empty((2, record.n_samples))
     for name, column in zip(names, record.outputs.T, strict=True):
-        size = column - np.median(column)
-        np.abs(size, out=size)
-        usual = float(np.partition(size, int(0.99 * len(size)))[int(0.99 * len(size))])
+        ordered[:] = column
+        np.abs(np.subtract(column, np.median(ordered, overwrite_input=True), out=size), out=size)
+        ordered[:] = size
+        ordered.partition(rank)
+        usual = float(ordered[rank])
         spikes = [i for i in np.flatnonzero((size > _ABOVE * usual) & counts)[:_MOST].tolist() if _alone(size, i)]
         if usual > 0 and spikes:
             yield FitNote.SPIKE(

@@ -74,20 +74,19 @@ def powers_of(F: FloatArray, count: int) -> FloatArray:
     return powers
 
 
-_IN_CACHE = 32_768  # values of windows that are scanned together: they stay in the cache
-
-
 def scan(transition: FloatArray, values: FloatArray) -> FloatArray:
     """Solve ``x[i] = transition x[i-1] + values[i]`` in place along axis 2 of (n, n_windows, steps, m), by doubling."""
-    n, n_windows, steps, m = values.shape
-    count, carry = max(1, _IN_CACHE // max(1, n * steps * m)), [(1, transition)]
-    while 2 * carry[-1][0] < steps:
-        carry.append((2 * carry[-1][0], carry[-1][1] @ carry[-1][1]))
-    for first in range(0, n_windows, count) if steps > 1 else ():
-        some = values[:, first : first + count]
-        for reach, power in carry:
-            some[:, :, reach:] += (power @ some[:, :, :-reach].reshape(n, -1)).reshape(some[:, :, reach:].shape)
+    n, _, steps, _ = values.shape
+    reach = 1
+    while reach < steps:
+        carried = transition @ values[:, :, :-reach].reshape(n, -1)
+        values[:, :, reach:] += carried.reshape(values[:, :, reach:].shape)
+        transition = transition @ transition
+        reach *= 2
     return values
+
+
+_IN_CACHE = 32_768  # values of windows that are linked together
 
 
 def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
@@ -98,8 +97,10 @@ def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transiti
     """
     blocks_of, inside = blocks.by_window
     result = np.zeros(ends.shape)
-    values = np.concatenate([starts[:, :, None], ends[:, blocks_of[:, :-1]]], axis=2)
-    result[:, blocks_of[inside]] = scan(transition, values)[:, inside]
+    count = max(1, _IN_CACHE // max(1, starts[:, 0].size * blocks.per_window))
+    for some in (slice(first, first + count) for first in range(0, len(inside), count)):
+        values = np.concatenate([starts[:, some, None], ends[:, blocks_of[some, :-1]]], axis=2)
+        result[:, blocks_of[some][inside[some]]] = scan(transition, values)[:, inside[some]]
     return result
 
 
