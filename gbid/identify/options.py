@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
@@ -183,8 +183,8 @@ class FitArguments(FitOptions):
 
     def settled(self, **choices: Any) -> SettledOptions:
         """Return the options without the functions, with the choices of the fit."""
-        made = replace(self, **choices)
-        return SettledOptions(**{field.name: plain(getattr(made, field.name)) for field in fields(FitOptions)})
+        values = {field.name: getattr(self, field.name) for field in fields(FitOptions)} | choices
+        return SettledOptions(**{name: plain(value) for name, value in values.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
