@@ -20,6 +20,8 @@ from gbid.core.files import atomic_path, checked_end, with_checksum
 
 T = TypeVar("T")
 NAME = ".gbid.index"
+DOCUMENT = "document"
+"""Fact that is as long as its file: it is not written into the index."""
 _FEWEST = 100  # facts worth an index; to read as many files takes about 50 ms
 _SETTLED_NS = 2_000_000_000  # age of a change [ns] from which on a further one has another time, on any file system
 _facts: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by file; a cache, as that of `functools.lru_cache`
@@ -45,7 +47,7 @@ def known(path: Path, fact: str, read: Callable[[Path], T]) -> T:
     path : path
         The file.
     fact : str
-        Name of the fact.
+        Name of the fact; a `DOCUMENT` is kept in memory alone.
     read : callable
         Function that reads the fact, a plain value of JSON.
 
@@ -77,8 +79,12 @@ def load_index(results: Path) -> None:
 def save_index(results: Path) -> None:
     """Write the index of a results folder, when it saves time; nothing happens where it cannot be written."""
     folder, latest = f"{results}{os.sep}", time.time_ns() - _SETTLED_NS
-    settled = [(name, *entry) for name, entry in _facts.items() if name.startswith(folder) and entry[0][-1] < latest]
-    document = {"gbid": __version__, "files": [(name.removeprefix(folder), *entry) for name, *entry in settled]}
+    settled = [
+        (name.removeprefix(folder), version, {fact: value for fact, value in facts.items() if fact != DOCUMENT})
+        for name, (version, facts) in _facts.items()
+        if name.startswith(folder) and version[-1] < latest
+    ]
+    document = {"gbid": __version__, "files": settled}
     path, content = results / NAME, with_checksum(json.dumps(document).encode())
     if len(settled) >= _FEWEST and not (path.is_file() and path.read_bytes() == content):
         with suppress(DataError), atomic_path(path, overwrite=True) as part:

@@ -87,11 +87,12 @@ def given_path(path: object) -> Path:
     checked = Path(path)
     if "\0" in str(checked):
         raise UsageError(f"{str(checked)!r}: a path cannot contain a NUL character; correct the name of the file")
-    longest = max((len(os.fsencode(part)) for part in checked.parts), default=0)
-    if longest > _MOST_OF_PART or len(os.fsencode(checked)) > _MOST:
+    encoded = os.fsencode(checked)
+    longest = max(map(len, encoded.split(os.fsencode(os.sep))))
+    if longest > _MOST_OF_PART or len(encoded) > _MOST:
         beginning = printable(str(checked)[:40])
         raise UsageError(
-            f"{beginning}...: the path has {len(os.fsencode(checked))} bytes, its longest part {longest}; at most "
+            f"{beginning}...: the path has {len(encoded)} bytes, its longest part {longest}; at most "
             f"{_MOST} and {_MOST_OF_PART} are allowed: correct the name of the file"
         )
     return checked

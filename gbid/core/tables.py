@@ -349,8 +349,8 @@ def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
         Text of the file.
     """
     lines = [f"# {one_line(comment)}" for comment in (*table.notes, *comments)]
-    lines.append(_line(_safe(column.heading) for column in table.columns))
-    lines += [_line(_text(value_of(entry)) for entry in row) for row in table.rows]
+    lines.append(",".join(_cell_text(column.heading) for column in table.columns))
+    lines += [",".join(_cell_text(value_of(entry)) for entry in row) for row in table.rows]
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -359,21 +359,16 @@ def write_csv(table: Table, path: Path, comments: Sequence[str] = ()) -> None:
     path.write_text(csv_text(table, comments), encoding="utf-8", newline="")
 
 
-def _line(cells: Iterable[str]) -> str:
-    return ",".join('"' + cell.replace('"', '""') + '"' if _QUOTED.search(cell) else cell for cell in cells)
-
-
-def _text(value: Value) -> str:
+def _cell_text(value: Value) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
         return repr(float(value))
-    return _safe(value) if isinstance(value, str) else "" if value is None else str(value)
-
-
-def _safe(text: str) -> str:
-    text = printable(text)
-    return f"'{text}" if _FORMULA.match(text) else text
+    if not isinstance(value, str):
+        return "" if value is None else str(value)
+    text = printable(value)
+    text = f"'{text}" if _FORMULA.match(text) else text
+    return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
 
 
 # ---- HTML renderer of tables, with markup for the style of the page and for screen readers.

@@ -12,8 +12,8 @@ import numpy as np
 
 from gbid import excite, lpv
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import FileKind, read_document, save
-from gbid.core.index import version_of
+from gbid.core.hdf5 import read_document, save
+from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not
 from gbid.experiment.fields import Result, stored_key
@@ -220,16 +220,8 @@ def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[s
 def read_signals(job: Job, name: str) -> RecordingSignals:
     """Return the properties of the signals of an existing recording, as they were stored with it."""
     planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
-    return RecordingSignals(
-        name, planned.kind, planned.point, **stored_document(path, Recording.FILE, version_of(path))
-    )
-
-
-@lru_cache(maxsize=1 << 15)
-def stored_document(path: Path, kind: FileKind, _version: tuple[int, ...]) -> dict[str, Any]:
-    """Return the document in a result file; cached, because a server asks for all whenever one has come."""
-    document: dict[str, Any] = read_document(path, kind)
-    return document
+    document = known(path, DOCUMENT, partial(read_document, kind=Recording.FILE))
+    return RecordingSignals(name, planned.kind, planned.point, **document)
 
 
 # ---- Plan of an excitation: the limits of a model of a fit.

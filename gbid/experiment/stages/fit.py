@@ -16,13 +16,13 @@ import numpy as np
 from gbid import identify, validate
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.hdf5 import document_in, read_document, read_group, read_texts, reading, save
-from gbid.core.index import known, version_of
+from gbid.core.index import DOCUMENT, known, version_of
 from gbid.core.tables import finite_or_none
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
 from gbid.experiment.machine import true_model, true_values
-from gbid.experiment.recordings import refuse_bad_signals, stored_document
+from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
@@ -479,7 +479,8 @@ def made_document(job: Job, name: str, model: str) -> Row:
         When the result is missing or was made from other settings.
     """
     path = fit_result(job.experiment, name, model).require()
-    return stored_document(path, identify.FitResult.FILE, version_of(path))
+    document: Row = known(path, DOCUMENT, partial(read_document, kind=identify.FitResult.FILE))
+    return document
 
 
 def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Recording]) -> list[str]:
