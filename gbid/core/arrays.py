@@ -13,7 +13,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+from threadpoolctl import OpenBLASController, ThreadpoolController  # type: ignore[import-untyped]
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -139,6 +139,10 @@ def _controller(_with_scipy: bool) -> Any:
     return ThreadpoolController()  # inspects every loaded library, so it is made once, and again with that of scipy
 
 
+# From threadpoolctl 3.8 on, OpenBLAS obeys the first thread that limits it, and no other as long as that one lives.
+_let_any_thread_limit = getattr(OpenBLASController, "clear_controlling_thread", lambda **_: None)
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Return a context in which the BLAS libraries of this process use one thread.
@@ -148,6 +152,7 @@ def one_blas_thread() -> Iterator[None]:
     """
     with _shared.counting:
         if _shared.users == 0:
+            _let_any_thread_limit(force=True)
             _shared.limit = _controller("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
         _shared.users += 1
     try:
@@ -156,7 +161,9 @@ def one_blas_thread() -> Iterator[None]:
         with _shared.counting:
             _shared.users -= 1
             if _shared.users == 0:
+                _let_any_thread_limit(force=True)
                 _shared.limit.restore_original_limits()
+                _let_any_thread_limit(force=True)
 
 
 def keep_freed_memory() -> None:

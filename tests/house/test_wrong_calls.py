@@ -128,3 +128,39 @@ print(before == {2}, inside == [{1}], threads() == before)
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
     ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ended.stdout.split() == ["True", "True", "True"]
+
+
+def test_the_limit_of_blas_holds_in_every_thread():
+    """With the limit of another thread unseen, a fit in a second thread took 34 ms instead of 21."""
+    code = """
+import threading
+import numpy as np, scipy.linalg, threadpoolctl
+from gbid.core.arrays import one_blas_thread
+seen = []
+def look():
+    seen.append({each["num_threads"] for each in threadpoolctl.threadpool_info() if each["user_api"] == "blas"})
+def limited(entered=None, leave=None):
+    with one_blas_thread():
+        look()
+        if entered:
+            entered.set()
+            leave.wait()
+def run(*events):
+    thread = threading.Thread(target=limited, args=events)
+    thread.start()
+    return thread
+limited()
+run().join()  # beside the main thread, which had the limit before
+entered, leave = threading.Event(), threading.Event()
+with one_blas_thread():
+    second = run(entered, leave)
+    entered.wait()
+look()  # the first has left, the second has not
+leave.set()
+second.join()
+look()
+print(seen == [{1}, {1}, {1}, {1}, {2}])
+"""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["True"]
