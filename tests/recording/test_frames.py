@@ -101,7 +101,7 @@ def test_pandas_is_wanted_only_for_frames(monkeypatch, rec):
 
 def test_values_draw_themselves(rec, result):
     panels = rec.plot(signals=("p", "y"), from_s=1.0)
-    assert [ax.get_ylabel() for ax in panels] == ["$p$ [µm]", "$y$ [V]"]
+    assert [ax.get_ylabel() for ax in panels] == ["$p$ [mm]", "$y$ [V]"]
     assert panels[0].lines[0].get_xdata()[0] == pytest.approx(1.0)
     assert rec.plot(panels, signals=("p", "y"))[0] is panels[0]
     assert result.plot()[0, 0].get_ylabel() == "magnitude [output/input]"
