@@ -89,7 +89,7 @@ def reactor(limit: float = 20.0) -> KnownLoop:
     A = [[1.38, -0.2077, 6.715, -5.676], [-0.5814, -4.29, 0, 0.675], [1.067, 4.273, -6.654, 5.893]]
     A.append([0.048, 4.273, 1.343, -2.104])
     B, C = [[0, 0], [5.679, 0], [1.136, -3.146], [1.136, 0]], [[1, 0, 1, -1], [0, 1, 0, 0], [0, 0, 1, -1]]
-    return _static_feedback("REA1", np.array(A), np.array(B), np.array(C), limit, 16.6918)
+    return _static_feedback("REA1", np.array(A), np.array(B), np.array(C), limit, 16.6926)
 
 
 def tuned_mass_damper(limit: float = 20.0) -> KnownLoop:
