@@ -298,8 +298,14 @@ def letter(axes: Iterable[Axes]) -> None:
         ax.set_title(f"{name})", loc="left", pad=4)
 
 
-def legend_above(figure: Figure, ax: Axes, columns: int = 6, title: str = "") -> None:
-    """Put one legend for all panels above them, where it covers no curve, under a title if there is one."""
-    handles, labels = ax.get_legend_handles_labels()
+def legend_above(figure: Figure, axes: Axes | npt.ArrayLike, columns: int = 6, title: str = "") -> None:
+    """Put one legend for all panels above them, where it covers no curve, under a title if there is one.
+
+    Where the figure has other panels, too, the legend is in the first of these: above, it would be that of all.
+    """
+    drawn = list(np.ravel(np.array(axes, dtype=object)))
+    handles, labels = drawn[0].get_legend_handles_labels()
     place: dict[str, Any] = {"loc": "outside upper center", "ncols": min(columns, len(labels)), "handlelength": 2.8}
-    figure.legend(handles, labels, title=title or None, title_fontsize=9, **place)
+    above = set(figure.axes) == set(drawn)
+    legend = figure.legend if above else drawn[0].legend
+    legend(handles, labels, title=title or None, title_fontsize=9, **(place if above else {"loc": "best"}))

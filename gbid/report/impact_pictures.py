@@ -87,7 +87,7 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDA
         letter(axes)
     axes[-1].set(xlabel="time [ms]", xlim=(1e3 * data.time[0], 1e3 * data.time[-1]))
     figure.align_ylabels(axes)
-    legend_above(figure, axes[0], title=data.title)
+    legend_above(figure, axes, title=data.title)
     return axes
 
 
@@ -287,7 +287,7 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> np
     letter(axes)
     axes[1].set(xlabel="time [ms]", xlim=(1e3 * data.time[0], 1e3 * data.time[-1]))
     figure.align_ylabels(axes)
-    legend_above(figure, axes[0], title=data.title)
+    legend_above(figure, axes, title=data.title)
     return axes
 
 

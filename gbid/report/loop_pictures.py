@@ -331,7 +331,7 @@ def plot_magnitudes(
     tops = [10 * np.ceil(level.max() / 10) for level in levels.values()]
     axes[0, 0].set_ylim(min(tops) - _RANGE_DB, max(tops) + 3)
     letter(flat)
-    legend_above(figure, axes[0, 0], title=title)
+    legend_above(figure, axes, title=title)
     return axes
 
 

@@ -81,7 +81,7 @@ def plot_actuator_parameters(nominal: NominalActuator, ax: Sequence[Axes] | None
         panel.set_xlabel("recording")
     letter(axes)
     figure.align_ylabels(axes)
-    legend_above(figure, axes[0])
+    legend_above(figure, axes)
     return axes.reshape(3, 2)
 
 
@@ -220,7 +220,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     axes[0].set(xlabel="time from the step [ms]", ylabel="step of the position [µm]")
     axes[1].set(xlabel="time [s]", ylabel="piezo position [µm]")
     letter(axes)
-    legend_above(figure, axes[0], columns=4)
+    legend_above(figure, axes, columns=4)
     return axes
 
 
@@ -563,7 +563,7 @@ def plot_static_map(result: StaticMap, ax: Sequence[Axes] | None = None) -> npt.
             panel.set_xlabel(f"{symbol(source)} [µm]")
     letter(axes)
     figure.align_ylabels(axes)
-    legend_above(figure, axes[0], title=place_of(result.conditions))
+    legend_above(figure, axes, title=place_of(result.conditions))
     return axes.reshape(shape)
 
 

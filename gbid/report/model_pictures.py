@@ -234,7 +234,7 @@ def plot_bode(
         frequency_axis(panel, shape.frequency_hz[0], shape.frequency_hz[-1])
     if len(curves) + (measured is not None) > 1 or any(curve.has_band for curve in curves.values()):
         longest = max(map(len, curves), default=0)
-        legend_above(figure, axes[0, 0], columns=4 if longest <= 16 else 2 if longest <= 24 else 1)  # letters
+        legend_above(figure, axes, columns=4 if longest <= 16 else 2 if longest <= 24 else 1)  # letters
     return axes
 
 
@@ -713,7 +713,7 @@ def plot_profile(
         panel.set_title(profile.verdict, loc="right", pad=4)
         panel.xaxis.set_major_locator(MaxNLocator(3))
     axes[0].set_ylabel("likelihood ratio")
-    legend_above(figure, axes[0])
+    legend_above(figure, axes)
     return axes[: len(each)]
 
 
@@ -848,5 +848,5 @@ def _plot(
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     if len(curves) > 1 or first.has_band:
-        legend_above(figure, axes[0, 0], columns=4)
+        legend_above(figure, axes, columns=4)
     return axes

@@ -167,7 +167,7 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
             panel.set_xlabel(PRESSURE)
     if len(data) > 1:
         letter(axes[: len(data)])
-    legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
+    legend_above(figure, axes, columns=max(1, len(data[0].speed_rpm)))
     return axes[: len(data)]
 
 

@@ -176,6 +176,17 @@ def test_poles_with_ellipses_and_several_models(result):
     assert [text.get_text() for text in axes.figure.legends[0].get_texts()] == ["fit", "truth"]
 
 
+def test_pictures_beside_each_other_have_a_legend_each(result):
+    """Above the figure, the legend of the second covered that of the first."""
+    models = {"fit": result, "truth": evaluate(MODE, MODE_AT)}
+    axes = Figure().subplots(1, 2)
+    report.plot_poles(models, axes[0])
+    report.plot_step(models, axes[1])
+    assert axes[0].figure.legends == []
+    words = [[text.get_text() for text in panel.get_legend().get_texts()] for panel in axes]
+    assert words == [["fit", "truth"], ["fit", "95 %", "truth"]]
+
+
 @pytest.mark.parametrize(("plot", "kind"), [(report.plot_step, "step"), (report.plot_impulse, "impulse")])
 def test_responses_with_bands(result, plot, kind):
     axes = plot({"fit": result, "truth": evaluate(MODE, MODE_AT)}, duration_s=3.0)
