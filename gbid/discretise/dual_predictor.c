@@ -73,12 +73,12 @@ static void exponentiate(long n, long doublings, exponentials *e) {
 
 /* Parameters by which any of so many entries has a derivative; those of one parameter follow after `stride`. */
 static long moving(long n_p, long count, const double *slopes, long stride, long *which) {
-  long found = 0;
+  long n_moving = 0;
   for (long j = 0, i; j < n_p; j++) {
     for (i = 0; i < count && slopes[j*stride + i] == 0; i++) {}
-    if (i < count) which[found++] = j;
+    if (i < count) which[n_moving++] = j;
   }
-  return found;
+  return n_moving;
 }
 
 static void load(long count, const double *values, const double *slopes, long stride, const long *which, long lanes,

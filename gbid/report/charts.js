@@ -71,13 +71,13 @@ const Charts = (() => {
 
   // First index of each run of finite values, and the one after its last.
   function runs(values) {
-    const found = [];
+    const pieces = [];
     values.forEach((v, i) => {
       if (!Number.isFinite(v)) return;
-      if (i === 0 || !Number.isFinite(values[i - 1])) found.push([i, i + 1]);
-      else found[found.length - 1][1] = i + 1;
+      if (i === 0 || !Number.isFinite(values[i - 1])) pieces.push([i, i + 1]);
+      else pieces[pieces.length - 1][1] = i + 1;
     });
-    return found;
+    return pieces;
   }
 
   // Symbols that are told apart without colour: circle, square, triangle, diamond, cross.

@@ -333,10 +333,7 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
             )
             front = tuple(map(CappedDesign, others.caps, others.designs))
     if section.design_for == "sampled":
-        if isinstance(structure, control.Scheduled):
-            laws = [control.controller_at(structure, result.gains, *point) for point in result.points]
-        else:
-            laws = [control.controller_model(structure, result.gains)]
+        laws = (control.controller_at(structure, result.gains, *point) for point in result.points or [(0.0, 0.0)])
         slow = next(filter(None, (too_slow_for(law, options["sample_time"]) for law in laws)), "")
         note = f"`gbid export --to c` refuses this controller: {slow}; or tune with a lower lowpass_hz"
         result = replace(result, notes=(*result.notes, *([note] if slow else ())))
