@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Callable
+from copy import copy
 from typing import Annotated
 
 import typer
@@ -146,9 +147,10 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and a process without threads can fork
     gc.set_threshold(200_000)  # most of what the imports make stays: to look for garbage in it is a tenth of a start
     named = [verb for verb in app.registered_commands if verb.name in sys.argv[1:2]]
-    app.registered_commands = named or app.registered_commands  # to make all verbs is a twentieth of a start
+    called = copy(app)
+    called.registered_commands = named or app.registered_commands  # to make all verbs is a twentieth of a start
     try:
-        app(prog_name="gbid")
+        called(prog_name="gbid")
     except KeyboardInterrupt:  # outside of a verb: while the command line is read
         sys.exit(130)
     finally:

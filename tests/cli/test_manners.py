@@ -206,6 +206,17 @@ def test_an_interruption_while_a_dataclass_is_made_is_one(tmp_path):
     assert ended.returncode == 130
 
 
+def test_the_command_line_runs_twice_in_one_process(monkeypatch, capsys):
+    from gbid.cli.main import main
+
+    for verb in ("explain", "doctor"):
+        monkeypatch.setattr(sys, "argv", ["gbid", verb])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 0
+        assert capsys.readouterr().out
+
+
 def test_a_failure_in_the_place_of_an_interruption_is_one(capsys):
     def body():
         with contextlib.suppress(KeyboardInterrupt):
