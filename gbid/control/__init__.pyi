@@ -26,11 +26,6 @@ from .controllers.structures import (
     p_controller as p_controller,
     scheduled as scheduled,
 )
-from .impact.half_sine import (
-    HalfSine as HalfSine,
-    ImpactResponse as ImpactResponse,
-    impact_response as impact_response,
-)
 from .impact.measured import (
     MeasuredImpact as MeasuredImpact,
     find_impacts as find_impacts,
@@ -55,6 +50,11 @@ from .loop.close import (
     sample_plant as sample_plant,
     smallest_damping as smallest_damping,
     static_force_gain as static_force_gain,
+)
+from .loop.half_sine import (
+    HalfSine as HalfSine,
+    ImpactResponse as ImpactResponse,
+    impact_response as impact_response,
 )
 from .loop.norm import (
     Peak as Peak,

@@ -12,8 +12,8 @@ import h5py
 import numpy as np
 
 from gbid.control.controllers.structures import Scheduled, controller_at, controller_structure
-from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.close import Method, smallest_damping
+from gbid.control.loop.half_sine import HalfSine, impact_response
 from gbid.control.loop.norm import Peak
 from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.control.loop.sensitivity import (

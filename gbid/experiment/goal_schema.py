@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Union, cast, get_type_hints
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, Tag, create_model
 
 from gbid import control
-from gbid.control.impact.half_sine import HalfSine
+from gbid.control.loop.half_sine import HalfSine
 from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal, Whirl
 from gbid.core.errors import nearest
 from gbid.core.option_types import Allowed, CountOrZero, Finite, Positive

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import gbid
 from gbid.control import HalfSine, close_loop, exact_plant, force_entry, impact_response, p_controller
-from gbid.control.impact.half_sine import force_response
+from gbid.control.impact.measured import force_response
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel, PiezoPair, evaluate
 

@@ -20,7 +20,7 @@ from figure_cases import BlankPictures
 import gbid
 from gbid.control import controller_model, controller_structure, sampled_loop, sensitivities
 from gbid.control.assessment import DesignFigures, assess
-from gbid.control.impact.half_sine import HalfSine, impact_response
+from gbid.control.loop.half_sine import HalfSine, impact_response
 from gbid.control.loop.sampled import exact_plant
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path

@@ -8,8 +8,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from gbid.control.impact.half_sine import force_response, loop_of_impact
-from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
+from gbid.control.impact.measured import (
+    MeasuredImpact,
+    find_impacts,
+    force_of,
+    force_response,
+    loop_of_impact,
+    pulses_of,
+)
 from gbid.control.impact.ringdown import (
     RingDown,
     covariance_of_sum,

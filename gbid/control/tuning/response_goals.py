@@ -11,8 +11,8 @@ from typing import Annotated, ClassVar, NamedTuple
 import numpy as np
 from annotated_types import Gt, Le, Lt
 
-from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.close import force_entry
+from gbid.control.loop.half_sine import HalfSine
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import structured_singular_values
 from gbid.control.tuning.goals import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, cos, inf, nan, pi, radians, sin
 from typing import Annotated
@@ -10,8 +9,7 @@ from typing import Annotated
 import numpy as np
 import scipy
 
-from gbid.control.impact.measured import Pulse, pulse_forcing
-from gbid.control.loop.close import close_loop, force_entry, sample_plant
+from gbid.control.loop.close import force_entry
 from gbid.control.loop.sensitivity import sensitivities
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
@@ -243,89 +241,3 @@ def _smooth_peak(values: FloatArray) -> float:
     before, top, after = (float(v) for v in values[k - 1 : k + 2])
     bend = before - 2 * top + after
     return top - (after - before) ** 2 / (8 * bend) if bend < 0 else top
-
-
-# ---- Response of a model to a measured force, which acts on the rotor without delay and actuators (paper, Sec. 5.1).
-
-
-def force_response(
-    plant: LinearModel,
-    controller: LinearModel | None,
-    pulses: Sequence[Pulse],
-    n_samples: int,
-    sample_time: float,
-    *,
-    computation_s: float | None = None,
-    entry: FloatArray | None = None,
-) -> FloatArray:
-    r"""Return the simulated disc position after impacts, for a mass of 1 kg.
-
-    .. math:: p = G_b f \quad\text{(open loop, Eq. 8)}, \qquad p = S_o G_b f \quad\text{(closed loop, Eq. 22)}
-
-    Parameters
-    ----------
-    plant : LinearModel
-        Continuous plant, from r (or u) to p. In open loop its input has no effect.
-    controller : LinearModel or None
-        Controller from p to r. A continuous controller gives the loop of the paper and needs a plant without exact
-        delays. A sampled controller gives the sampled loop: r is held over each sample, and exact delays are allowed.
-    pulses : sequence of Pulse
-        Forces of the impacts.
-    n_samples : int
-        Number of samples.
-    sample_time : float
-        Time between samples [s].
-    computation_s : float, optional
-        Time from the sample of p to the change of r, for sampled controllers only [s]; one sample when not given.
-    entry : (n, 2) array, optional
-        Input matrix of a force per mass; from `force_entry` when not given.
-
-    Returns
-    -------
-    (n_samples, 2) array
-        Disc position times mass [m kg].
-
-    Raises
-    ------
-    UsageError
-        When the models do not fit together, or when the loop is unstable.
-    """
-    E = force_entry(plant) if entry is None else np.asarray(entry, float)
-    n = plant.n_states
-    if E.shape != (n, 2):
-        raise UsageError(f"impact: entry of the force on {plant.name!r} has shape {E.shape}, expected ({n}, 2)")
-    loop = loop_of_impact(plant, controller, sample_time, computation_s)
-    F, C = np.array(loop.A), np.array(loop.C)
-    F = F if loop.dt is not None else scipy.linalg.expm(F * sample_time)
-    # The states of the plant come first in every loop. Between samples of a sampled one the force acts on them only.
-    A = np.array(plant.A if loop.dt is not None else loop.A)
-    E = np.vstack([E, np.zeros((len(A) - n, 2))])
-    if (np.abs(np.linalg.eigvals(F)) >= 1).any():
-        what = plant.name if controller is None else f"{plant.name}, closed by {controller.name}"
-        raise UsageError(f"impact: {what!r} is unstable, so there is no response to compare with")
-    forcing = np.zeros((n_samples, len(F)))
-    forcing[:, : len(A)] = pulse_forcing(A, E, pulses, n_samples, sample_time)
-    return np.asarray(propagate(F, forcing, np.zeros(len(F))) @ C.T)
-
-
-def loop_of_impact(
-    plant: LinearModel, controller: LinearModel | None, sample_time: float, computation_s: float | None
-) -> LinearModel:
-    """Return the plant, its continuous loop, or its sampled loop with one sample of computation by default.
-
-    Raises
-    ------
-    UsageError
-        When the models do not fit together.
-    """
-    if controller is None:
-        return plant
-    if controller.dt is not None:
-        computation = sample_time if computation_s is None else computation_s
-        return close_loop(sample_plant(plant, sample_time, computation), controller)
-    if plant.delay is not None:
-        raise UsageError(
-            f"model {plant.name!r} has exact delays and {controller.name!r} is continuous: give the sampled "
-            "controller (sample_controller), or replace the delays: with_pade(plant, order)"
-        )
-    return close_loop(plant, controller)
