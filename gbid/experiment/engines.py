@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import hashlib
 import os
 import pickle
 import signal
@@ -12,6 +11,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import import_module
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # ---- Worker process: it runs the tasks that it receives through a pipe.
 
 READY = "ready"
+"""First message of a worker: it can run tasks."""
 
 
 def serve(connection: Connection) -> None:
@@ -45,21 +46,17 @@ def serve(connection: Connection) -> None:
         if callable(signal.getsignal(number)):  # a fork has the handlers of the runner
             signal.signal(number, signal.SIG_DFL)
     threading.Thread(target=_end_with_runner, daemon=True).start()
-
     collect_less()
-    connection.send(READY)
-    job = None
-    try:
+    job: Any = None
+    with contextlib.suppress(EOFError, OSError):  # the runner has ended
+        connection.send(READY)
         while True:
             message = connection.recv()
             if isinstance(message, bytes):
                 job = pickle.loads(message)
             else:
                 number, task = message
-                assert job is not None
                 connection.send((number, attempt(job, task)))
-    except (EOFError, OSError):  # the runner has ended
-        return
 
 
 def collect_less() -> None:
@@ -117,6 +114,21 @@ def completed(job: Job, task: Task) -> Outcome | None:
     return replace(outcome, state="made") if outcome is not None and outcome.state == "kept" else None
 
 
+def outcome_of(answer: Outcome | str) -> Outcome:
+    """Return the outcome that a worker answered.
+
+    Raises
+    ------
+    NoSpaceError
+        When the disk is full.
+    """
+    if isinstance(answer, str):
+        raise NoSpaceError(answer)
+    return answer
+
+
+# ---- Pool of worker processes on this machine.
+
 ATTEMPTS = 3
 """Number of times that a task may kill its worker before it counts as failed."""
 
@@ -132,6 +144,10 @@ class _Worker:
     connection: Connection
     ready: bool = False
     number: int | None = None  # of the task that it runs
+
+    def send(self, message: object) -> None:
+        with contextlib.suppress(OSError):  # a dead worker is noticed when its pipe is read
+            self.connection.send(message)
 
 
 class ProcessPool:
@@ -172,45 +188,47 @@ class ProcessPool:
             yield from InTurn().outcomes(job, tasks)
             return
         shipped = pickle.dumps(bare_job(job))
+        for worker in self._workers:
+            worker.send(shipped)
         waiting, deaths, stillborn = deque(range(len(tasks))), Counter[int](), 0
+
+        def give(worker: _Worker) -> None:
+            if waiting and worker.ready and worker.number is None:
+                worker.number = waiting.popleft()
+                job.reporter.begin(tasks[worker.number].stage, tasks[worker.number].item)
+                worker.send((worker.number, bare_task(tasks[worker.number])))
+
         try:
-            for worker in self._workers:
-                with contextlib.suppress(OSError):  # a dead worker is noticed when its pipe is read
-                    worker.connection.send(shipped)
-            while waiting or any(worker.number is not None for worker in self._workers):
-                busy = sum(worker.number is not None for worker in self._workers)
-                self._start(min(self.n_workers, len(waiting) + busy), shipped)
+            while busy := len(waiting) + sum(worker.number is not None for worker in self._workers):
+                self._start(min(self.n_workers, busy), shipped)
                 for worker in self._workers:
-                    if worker.ready and worker.number is None and waiting:
-                        self._give(worker, waiting.popleft(), job, tasks)
+                    give(worker)
                 heard = wait([worker.connection for worker in self._workers])  # messages, and ends of processes
                 for worker in [worker for worker in self._workers if worker.connection in heard]:
+                    number = worker.number
                     try:
                         message = worker.connection.recv()
                     except (EOFError, OSError):
-                        number, how = worker.number, self._bury(worker)
-                        if number is not None:
-                            deaths[number] += 1
-                            outcome = self._after_death(job, tasks[number], deaths[number], how)
-                            if outcome is None:
-                                waiting.append(number)
-                            else:
-                                yield number, outcome
-                        elif not worker.ready:
-                            stillborn += 1
+                        how = self._bury(worker)
+                        if number is None:
+                            stillborn += not worker.ready
                             if stillborn == ATTEMPTS:
                                 raise GbidError(f"worker processes cannot start ({how}); try --engine serial") from None
+                            continue
+                        deaths[number] += 1
+                        outcome = _after_death(job, tasks[number], deaths[number], how)
+                        if outcome is None:
+                            waiting.append(number)
+                        else:
+                            yield number, outcome
                         continue
                     if message == READY:
                         worker.ready, stillborn = True, 0
                         continue
-                    worker.number = None
-                    number, result = message
-                    if isinstance(result, str):
-                        raise NoSpaceError(result)
-                    if waiting:  # before the outcome is processed, so that the worker need not wait for that
-                        self._give(worker, waiting.popleft(), job, tasks)
-                    yield number, result
+                    number, answer = message
+                    outcome, worker.number = outcome_of(answer), None
+                    give(worker)  # before the outcome is processed, so that the worker need not wait for that
+                    yield number, outcome
         finally:
             self._stop([worker for worker in self._workers if worker.number is not None])
 
@@ -229,14 +247,7 @@ class ProcessPool:
                 process.start()
             theirs.close()
             self._workers.append(_Worker(process, ours))
-            with contextlib.suppress(OSError):
-                ours.send(shipped)
-
-    def _give(self, worker: _Worker, number: int, job: Job, tasks: Sequence[Task]) -> None:
-        worker.number = number
-        job.reporter.begin(tasks[number].stage, tasks[number].item)
-        with contextlib.suppress(OSError):
-            worker.connection.send((number, bare_task(tasks[number])))
+            self._workers[-1].send(shipped)
 
     def _bury(self, worker: _Worker) -> str:
         """Remove a worker that died; return its signal or exit code as text."""
@@ -245,14 +256,6 @@ class ProcessPool:
         worker.process.join(_PATIENCE)
         code = worker.process.exitcode or 0
         return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-
-    def _after_death(self, job: Job, task: Task, times: int, how: str) -> Outcome | None:
-        """Return the outcome of a task whose worker died; None when it will be tried again."""
-        outcome = completed(job, task)
-        if outcome is not None or times < ATTEMPTS:
-            return outcome
-        text = f"its process died {times} times ({how}); the usual reason for SIGKILL is too little memory"
-        return fail(job, task, Failure(task.key, "crash", text))
 
     def _stop(self, workers: list[_Worker]) -> None:
         for worker in workers:
@@ -264,6 +267,15 @@ class ProcessPool:
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
+
+
+def _after_death(job: Job, task: Task, times: int, how: str) -> Outcome | None:
+    """Return the outcome of a task whose worker died; None when it will be tried again."""
+    outcome = completed(job, task)
+    if outcome is not None or times < ATTEMPTS:
+        return outcome
+    text = f"its process died {times} times ({how}); the usual reason for SIGKILL is too little memory"
+    return fail(job, task, Failure(task.key, "crash", text))
 
 
 def _has_one_thread() -> bool:
@@ -341,18 +353,11 @@ class DaskEngine:
             from distributed import Client
         except ImportError:
             raise UsageError("Dask is not installed; install it with: pip install 'gbid[dask]'") from None
-        self._is_ours = scheduler is None or isinstance(scheduler, str)
-        if not (scheduler is None or isinstance(scheduler, str)):
-            if not isinstance(scheduler, Client):
-                raise UsageError(
-                    f"scheduler = {scheduler!r}; give its address, such as tcp://host:8786, or a Dask client"
-                )
-            if scheduler.status != "running" or scheduler.asynchronous:
-                text = "is not connected" if scheduler.status != "running" else "is asynchronous"
-                raise UsageError(f"the Dask client {text}; give a running Client(...) without asynchronous=True")
-            self._cluster, self.client = None, scheduler
-            return
         self._cluster = _local_cluster(n_workers) if scheduler is None else None
+        self._is_ours = scheduler is None or isinstance(scheduler, str)
+        if not self._is_ours:
+            self.client = _running_client(scheduler, Client)
+            return
         try:
             self.client = Client(self._cluster or scheduler, timeout=_DASK_PATIENCE)
         except (OSError, ValueError) as error:
@@ -361,6 +366,8 @@ class DaskEngine:
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
         """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`.
+
+        As many tasks are reported as begun as there are threads: workers do not say which task they run.
 
         Raises
         ------
@@ -374,75 +381,51 @@ class DaskEngine:
         from distributed import CancelledError, as_completed
         from distributed.scheduler import KilledWorker
 
-        shipped = pickle.dumps(bare_job(job))
-        name = f"gbid-{hashlib.sha256(shipped).hexdigest()[:16]}"
-        self._register(_carrier(shipped, alone=self._cluster is not None), name)
-        threads = max(1, sum(self.client.nthreads().values()))
-        sent, completed = {}, as_completed()
+        shipped, threads = pickle.dumps(bare_job(job)), max(1, sum(self.client.nthreads().values()))
+        waiting, running = dict.fromkeys(range(len(tasks))), set[int]()
+        sent, answered = {}, as_completed()
 
-        upcoming, begun, ended = deque[int](), set[int](), set[int]()
+        def submit(chunk: Sequence[int]) -> None:
+            shipment = [bare_task(tasks[number]) for number in chunk]
+            future = self.client.submit(_attempt_there, shipped, shipment, self._cluster is not None, pure=False)
+            sent[future] = chunk
+            answered.add(future)
 
         def begin(number: int) -> None:
-            if number not in begun | ended:
-                begun.add(number)
-                job.reporter.begin(tasks[number].stage, tasks[number].item)
+            del waiting[number]
+            running.add(number)
+            job.reporter.begin(tasks[number].stage, tasks[number].item)
 
-        def announce() -> None:
-            """Report as many tasks as begun as there are threads; workers do not report which task they run."""
-            while upcoming and len(begun) < threads:
-                begin(upcoming.popleft())
+        def begin_next(ended: int | None = None) -> None:
+            if ended in waiting:
+                begin(ended)
+            running.discard(ended)
+            while waiting and len(running) < threads:
+                begin(next(iter(waiting)))
 
-        def settle(number: int) -> None:
-            begin(number)
-            begun.remove(number)
-            ended.add(number)
-            announce()
-
-        def submit(chunk: list[int]) -> None:
-            upcoming.extend(chunk)
-            shipment = [bare_task(tasks[number]) for number in chunk]
-            future = self.client.submit(_attempt_there, name, shipment, pure=False)
-            sent[future] = chunk
-            completed.add(future)
-
+        size = min(_LARGEST, max(1, len(tasks) // (threads * _JOURNEYS)))
         try:
-            for chunk in _chunks(len(tasks), threads):  # all at once: workers that join later take their share
-                submit(chunk)
-            announce()
-            for future in completed:
+            for first in range(0, len(tasks), size):  # all at once: workers that join later take their share
+                submit(range(len(tasks))[first : first + size])
+            begin_next()
+            for future in answered:
                 chunk, error = sent.pop(future), future.exception()
                 if isinstance(error, KilledWorker) and len(chunk) > 1:
                     for number in chunk:  # one of them killed it; finished ones are kept
                         submit([number])
-                elif error is None:
-                    for number, result in zip(chunk, future.result(), strict=True):
-                        settle(number)
-                        yield number, self._checked(result, tasks[number])
-                elif not isinstance(error, KilledWorker):
+                    continue
+                if error is not None and not isinstance(error, KilledWorker):
                     raise error
-                else:
-                    settle(chunk[0])
-                    text = "the Dask workers that ran it died; the usual reason is too little memory"
-                    yield chunk[0], fail(job, tasks[chunk[0]], Failure(tasks[chunk[0]].key, "crash", text))
+                for number, answer in zip(chunk, [None] if error else future.result(), strict=True):
+                    begin_next(number)
+                    yield number, _crashed(job, tasks[number]) if answer is None else _checked(answer, tasks[number])
         except (OSError, CancelledError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             text = f"the connection to the Dask scheduler is lost ({why})"
             raise UsageError(f"{text}; start it and run again; complete results stay") from None
         finally:
             with contextlib.suppress(OSError, CancelledError):  # when the scheduler or a worker has just ended
-                if sent:
-                    self.client.cancel(list(sent))
-                self.client.unregister_worker_plugin(name)
-
-    def _register(self, plugin: Any, name: str) -> None:
-        """Register a plugin with all present and later workers; try again when a worker dies meanwhile."""
-        for left in reversed(range(ATTEMPTS)):
-            try:
-                self.client.register_plugin(plugin, name=name)
-                return
-            except OSError as error:
-                if not left:
-                    raise GbidError(f"the Dask workers do not answer ({error}); check them, then run again") from None
+                self.client.cancel(list(sent))
 
     def close(self) -> None:
         """Disconnect from the scheduler, and stop the workers that this engine started; a given client stays open."""
@@ -451,13 +434,29 @@ class DaskEngine:
         if self._cluster is not None:
             self._cluster.close()
 
-    def _checked(self, result: Outcome | str, task: Task) -> Outcome:
-        if isinstance(result, str):
-            raise NoSpaceError(result)
-        if result.state == "made" and not task.path.exists():
-            text = "a Dask worker made it, but it is missing here; workers must see the same results folder"
-            raise DataError(f"{task.path}: {text}")
-        return result
+
+def _running_client(given: Any, kind: type) -> Any:
+    """Return a client of the user; refuse one that cannot run tasks, and other values."""
+    if not isinstance(given, kind):
+        raise UsageError(f"scheduler = {given!r}; give its address, such as tcp://host:8786, or a Dask client")
+    client: Any = given
+    if client.status != "running" or client.asynchronous:
+        text = "is not connected" if client.status != "running" else "is asynchronous"
+        raise UsageError(f"the Dask client {text}; give a running Client(...) without asynchronous=True")
+    return client
+
+
+def _crashed(job: Job, task: Task) -> Outcome:
+    text = "the Dask workers that ran it died; the usual reason is too little memory"
+    return fail(job, task, Failure(task.key, "crash", text))
+
+
+def _checked(answer: Outcome | str, task: Task) -> Outcome:
+    outcome = outcome_of(answer)
+    if outcome.state == "made" and not task.path.exists():
+        text = "a Dask worker made it, but it is missing here; workers must see the same results folder"
+        raise DataError(f"{task.path}: {text}")
+    return outcome
 
 
 def _local_cluster(n_workers: int) -> Any:
@@ -466,45 +465,30 @@ def _local_cluster(n_workers: int) -> Any:
     from distributed import LocalCluster
 
     options = {"threads_per_worker": 1, "processes": True, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
-    for trial in range(1, ATTEMPTS + 1):
+    for left in reversed(range(ATTEMPTS)):
         try:
             with dask.config.set(_CALM), _environment(_OF_WORKERS):
                 return LocalCluster(n_workers=n_workers, **options)
         except RuntimeError as error:
-            if trial == ATTEMPTS:
+            if not left:
                 text = f"Dask workers cannot start ({' '.join(str(error).split())}); try --engine pool"
                 raise GbidError(text) from None
     raise AssertionError
 
 
-def _carrier(shipped: bytes, alone: bool) -> Any:
-    """Return a plugin that sends the job to each worker once; `alone`: the workers run nothing else."""
-    from distributed import WorkerPlugin
-
-    class JobCarrier(WorkerPlugin):  # type: ignore[misc]
-        def __init__(self) -> None:
-            self.shipped, self.alone = shipped, alone
-
-        def setup(self, worker: Any) -> None:  # noqa: ARG002
-            self.job = pickle.loads(self.shipped)
-            if self.alone:
-                collect_less()
-
-    return JobCarrier()
-
-
-def _chunks(count: int, threads: int) -> list[list[int]]:
-    """Return the numbers of the tasks of each submission; many small submissions would take longer than the fits."""
-    size = min(_LARGEST, max(1, count // (threads * _JOURNEYS)))
-    return [list(range(first, min(first + size, count))) for first in range(0, count, size)]
-
-
-def _attempt_there(name: str, tasks: list[Task]) -> list[Outcome | str]:
-    from distributed import get_worker
-
-    job = get_worker().plugins[name].job
+def _attempt_there(shipped: bytes, tasks: list[Task], alone: bool) -> list[Outcome | str]:
+    job = _job_in(shipped, alone)
     with _one_at_a_time:
         return [attempt(job, task) for task in tasks]
+
+
+@lru_cache(maxsize=1)
+def _job_in(shipped: bytes, alone: bool) -> Job:
+    """Return the job that a worker received; `alone`: the worker runs nothing else."""
+    if alone:
+        collect_less()
+    job: Job = pickle.loads(shipped)
+    return job
 
 
 # ---- Engine by its name.
