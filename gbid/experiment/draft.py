@@ -366,7 +366,9 @@ _BEFORE = {  # words before the number
     "speed_rpm": {"n", "drehzahl", "speed", "rpm", "upm", "omega", "om"},
 }
 _PRESSURES = {"bar": 1.0, "mbar": 1e-3, "kpa": 1e-2, "mpa": 10.0, "psi": 0.0689475729}  # in bar
-_SPEEDS = {"u": 1.0, "umdr": 1.0, "umdrehungen": 1.0, "rev": 1.0, "revs": 1.0, "krpm": 1e3, "rps": 60.0}  # in rpm
+_TURNS = ("u", "umdr", "umdrehungen", "rev", "revs", "giri", "tr")
+_SPEEDS = {**dict.fromkeys(_TURNS, 1.0), "krpm": 1e3, "rps": 60.0}  # in rpm
+_TURNS_A_MINUTE = {"rpm", "upm", "1min", "min1", "rmin", *(f"{turn}min" for turn in _TURNS)}
 _THOUSANDS = re.compile(r"\d{1,3}\.\d{3}")  # 4.200 rpm: decimals or a thousands sign
 
 
@@ -474,7 +476,7 @@ def _unit(word: str, joined: bool) -> tuple[str, float] | None:
     """Return the quantity of a unit and its factor; a single letter is one right behind a number only."""
     if word in _PRESSURES:
         return "pressure_bar", _PRESSURES[word]
-    if is_speed_unit(word) or (word in _SPEEDS and (len(word) > 1 or joined)):
+    if re.sub(r"[\W_]|per|pro", "", word) in _TURNS_A_MINUTE or (word in _SPEEDS and (len(word) > 1 or joined)):
         return "speed_rpm", _SPEEDS.get(word, 1.0)
     return None
 

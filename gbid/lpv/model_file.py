@@ -64,7 +64,7 @@ class Quantity(FileTable):
     value : float
         Number in `unit`.
     unit : str
-        Unit as pint reads it.
+        Unit, as `gbid.core.units.conversion_factor` takes it.
     source : str
         Place in the publication.
     """
@@ -79,7 +79,7 @@ class Quantity(FileTable):
         Parameters
         ----------
         unit : str
-            Unit as pint reads it.
+            Unit, as `gbid.core.units.conversion_factor` takes it.
 
         Raises
         ------

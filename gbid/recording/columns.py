@@ -17,21 +17,10 @@ from gbid.core.units import conversion_factor, is_speed_unit, is_unit
 
 # ---- Units of the columns of a file: what file and mapping say about them, and their factors.
 
-_OTHER_WORDS = {
-    "Grad": "deg",  # pint reads it as gigaradian
-    "grd": "deg",
-    "Sek": "s",
-    "Sek.": "s",
-    "sec": "s",
-    "-": "",
-}
-"""Words for units in files of loggers, and how gbid writes them."""
-
 
 def written_unit(word: str) -> str:
-    """Return the spelling of gbid for a unit that a file states, e.g. ``um`` for ``µm``."""
-    word = word.strip()
-    return "rpm" if is_speed_unit(word) else _OTHER_WORDS.get(word, word)
+    """Return a unit that a file states without blanks around it; turns a minute in all spellings are ``rpm``."""
+    return "rpm" if is_speed_unit(word) else "" if word.strip() == "-" else word.strip()
 
 
 def is_file_unit(cell: str) -> bool:
@@ -42,13 +31,15 @@ def is_file_unit(cell: str) -> bool:
 def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
     """Return the unit of the numbers in the file; None when neither file nor mapping gives one.
 
+    The mapping wins over a word of the file that is no unit.
+
     Raises
     ------
     DataError
         When file and mapping give different units.
     """
     mapped, given = (None if unit is None else written_unit(unit) for unit in (mapped, given))
-    if mapped is None or given is None or mapped == given:
+    if mapped is None or given is None or mapped == given or not is_unit(given):
         return given if mapped is None else mapped
     try:
         same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)
