@@ -1,6 +1,6 @@
 """Count how often 95 % intervals of a fit contain the truth, for errors of many kinds; store the numbers.
 
-``python -m benchmarks.coverage [--bootstrap | --profile] [--quick] [--seeds N] [--output FILE]``
+``python -m benchmarks.coverage [--profile] [--quick] [--seeds N] [--output FILE]``
 """
 
 from __future__ import annotations
@@ -189,15 +189,9 @@ CASES = (
 )
 
 
-# ---- Coverage of the standard deviations of a fit, and of its bootstrap.
+# ---- Coverage of the standard deviations of a fit.
 
 LENGTHS = (1000, 5000, 25_000)
-BOOTSTRAPPED = (
-    ("AR(2) at the resonance", 1000),
-    ("AR(2) at the resonance", 5000),
-    ("AR(1), pole 0.9", 1000),
-    ("process noise", 1000),
-)
 TARGET = (0.92, 0.97)
 _NOTED = 0.95  # share of the fits with a note, from which a cell counts as noted
 _QUANTILE = 1.96  # of the normal distribution, for 95 %
@@ -233,14 +227,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = options_of(
         __doc__,
         arguments,
-        bootstrap=(False, "robust standard deviations beside the bootstrap"),
         profile=(False, "standard deviations beside profile likelihoods, where the likelihood is no parabola"),
         quick=(False, "shortest recordings and few seeds, to see that it works"),
-        seeds=(int, "recordings of each kind (default 60, with --bootstrap 40, with --profile 100)"),
+        seeds=(int, "recordings of each kind (default 60, with --profile 100)"),
     )
     seeds, first = 4 if options.quick else options.seeds, 1 if options.quick else None
-    if options.bootstrap:
-        return run_study(lambda: measure_bootstrap(BOOTSTRAPPED[:first], seeds or 40), options.output, bootstrap_table)
     if options.profile:
         return run_study(lambda: measure_profiles(CURVED[:first], seeds or 100), options.output, profile_table)
     return run_study(lambda: measure(LENGTHS[:first], seeds or 60), options.output, coverage_table)
@@ -338,37 +329,6 @@ def _shown(computed: Coverage, target: bool) -> str:
     text += " !" if computed.noted >= _NOTED else ""
     left_out = f", {computed.failed} failed" if computed.failed else ""
     return f"{text} ({100 * computed.coverage_white:.0f}){left_out}"
-
-
-def measure_bootstrap(cells: Sequence[tuple[str, int]], seeds: int) -> dict[str, Any]:
-    """Coloured errors on the oscillator with little damping, fitted without a disturbance gain."""
-    plain = {case.name: case for case in CASES if case.words == "plain"}
-    rows = [
-        {"errors": name, "samples": n, **bootstrap_cell(OSCILLATORS[0], plain[name], n, seeds)} for name, n in cells
-    ]
-    return {**about(), "oscillator": OSCILLATORS[0].name, "seeds": seeds, "rows": rows}
-
-
-def bootstrap_cell(oscillator: Oscillator, case: Case, n: int, seeds: int) -> dict[str, float]:
-    """Return the coverage of both, how much wider those of the bootstrap are (median), and the fits that failed."""
-    off, (narrow, wide), _ = errors_of(oscillator, case, n, seeds, "robust", "", std="bootstrap")
-    return {
-        "robust": float((np.abs(off) < _QUANTILE * narrow).mean()),
-        "bootstrap": float((np.abs(off) < _QUANTILE * wide).mean()),
-        "wider": float(np.median(wide / narrow)),
-        "failed": seeds - len(off),
-    }
-
-
-def bootstrap_table(run: dict[str, Any]) -> str:
-    """Return the coverage as Markdown, in percent."""
-    rows = [
-        (q["errors"], q["samples"], f"{100 * q['robust']:.1f}", f"{100 * q['bootstrap']:.1f}", f"{q['wider']:.2f}")
-        for q in run["rows"]
-    ]
-    failed = sum(row["failed"] for row in run["rows"])
-    note = f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."
-    return markdown(("errors", "N", "robust", "bootstrap", "wider by"), rows, note)
 
 
 # ---- Coverage of profile likelihoods beside that of standard deviations, where the likelihood is no parabola.

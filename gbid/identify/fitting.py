@@ -202,7 +202,7 @@ def _note_of_means(
     structure: AnyStructure, recordings: Measured, options: FitArguments, result: FitResult
 ) -> tuple[str, ...]:
     """Return a note where offsets of the outputs, estimated along, are certain and move the estimates."""
-    plain = replace(options, std="auto", bootstrap_draws=None, bootstrap_seed=None, profile=(), progress=None)
+    plain = replace(options, profile=(), progress=None)
     try:
         other = fitted(structure, recordings, replace(plain, trend="offset"))
     except GbidError:  # the structure may be too large for the recordings with offsets

@@ -15,7 +15,7 @@ from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
 from gbid.identify.data import FitData, Record, centred_rows
 from gbid.identify.data_notes import data_notes
-from gbid.identify.options import DRAWS, SettledOptions
+from gbid.identify.options import SettledOptions
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
 from gbid.identify.problem.integration import at_working_point, with_integration_error
@@ -24,7 +24,7 @@ from gbid.identify.problem.solve import TOLERANCES, forces_of_bounds
 from gbid.identify.problem.states import decay_notes, released_states
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
-from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel
+from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.covariance import (
     FLATTEST,
     Covariance,
@@ -70,7 +70,6 @@ def judge(optimum: Optimum) -> FitResult:
         covariance=certainty.covariance,
         covariance_white=spread.white,
         covariance_robust=spread.robust,
-        covariance_bootstrap=spread.bootstrap,
         trusted="none" if bias.left_out else certainty.kind,
         whiteness=whiteness.p_value if residuals.finite else np.full(len(residuals.products), np.nan),
         modes_std=spreads.modes,
@@ -219,14 +218,12 @@ class _Certainty:
         Free parameters on a bound.
     spread : Covariance
         Their covariances, widened by what delay, hold and other maxima move.
-    kind : {"white", "robust", "bootstrap"}
+    kind : {"white", "robust"}
         The one that counts.
     bias : Bias
         What the estimates are off by beside the noise.
     notes, notes_on_poles : sequence of str
         Notes on the standard deviations, and on poles that meet.
-    by_blocks : bool
-        Whether the standard deviations are those for coloured errors, or drawn.
     """
 
     on_bound: BoolArray
@@ -235,7 +232,6 @@ class _Certainty:
     bias: Bias
     notes: tuple[str, ...]
     notes_on_poles: list[str]
-    by_blocks: bool
 
     @property
     def covariance(self) -> FloatArray:
@@ -252,27 +248,18 @@ def _certainty(optimum: Optimum, residuals: _Residuals) -> _Certainty:
     """Return how far the estimates may be off: their covariance and bias."""
     theta, coloured, noisy = residuals.estimate.theta, residuals.coloured, residuals.noisy
     settled = residuals.sound and optimum.solution.status.success
-    drawn = _bootstrap(optimum) if settled else None
-    on_bound, spread = _uncertainty(optimum, residuals.estimate, residuals.products, coloured, drawn)
+    on_bound, spread = _uncertainty(optimum, residuals.estimate, residuals.products, coloured)
     spread, notes_on_poles = _with_equal_poles(optimum, theta, spread)
-    kind: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
+    kind: StdKind = "robust" if coloured else "white"
     std = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind))))
     errors = residuals.by_record if noisy.all() else [e * noisy for e in residuals.by_record]
     bias = bias_of(optimum, errors, std, white=not coloured) if settled else Bias()
-    notes = _notes(optimum, theta, on_bound, spread, kind if coloured and not bias.explains_colour else None)
+    notes = _notes(optimum, theta, on_bound, spread, coloured and not bias.explains_colour)
     if bias.moved is not None and bias.widens:
         spread = spread.widened(bias.moved)
     for shift in optimum.weighted.elsewhere if optimum.weighted else ():
         spread = spread.widened(shift)
-    return _Certainty(on_bound, spread, kind, bias, notes, notes_on_poles, coloured or drawn is not None)
-
-
-def _bootstrap(optimum: Optimum) -> Bootstrap | None:
-    """Return the bootstrap that the options ask for."""
-    options = optimum.problem.task.options
-    if options.std != "bootstrap":
-        return None
-    return Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
+    return _Certainty(on_bound, spread, kind, bias, notes, notes_on_poles)
 
 
 def _free_names(optimum: Optimum) -> tuple[str, ...]:
@@ -360,15 +347,13 @@ def _notes_on_coverage(optimum: Optimum, residuals: _Residuals, spread: Covarian
 
 def _settled_options(optimum: Optimum, estimate: Estimate) -> SettledOptions:
     """Return the options of the fit with what it chose itself."""
-    problem, task, bootstrap = optimum.problem, optimum.problem.task, _bootstrap(optimum)
+    problem, task = optimum.problem, optimum.problem.task
     return task.options.settled(
         intersample=check_holds(task.hold, len(task.data.input_names)),
         criterion=estimate.problem.criterion,
         initial_state=task.states.choice,
         window=problem.window and window_length(optimum.shooting),
         robust_threshold=task.loss and task.loss.threshold,
-        bootstrap_draws=bootstrap and bootstrap.draws,
-        bootstrap_seed=bootstrap and bootstrap.seed,
     )
 
 
@@ -388,12 +373,12 @@ def _profiler(optimum: Optimum, residuals: _Residuals, certainty: _Certainty, lo
         certainty.on_bound,
         np.where(certainty.unknown, np.nan, np.diag(certainty.covariance)),
         np.diag(certainty.spread.curvature),
-        certainty.by_blocks,
+        certainty.kind == "robust",
     )
 
 
 def _uncertainty(
-    optimum: Optimum, estimate: Estimate, products: FloatArray, coloured: bool, bootstrap: Bootstrap | None
+    optimum: Optimum, estimate: Estimate, products: FloatArray, coloured: bool
 ) -> tuple[BoolArray, Covariance]:
     """Return which free parameters lie on a bound, (n_theta,), and the covariance of the others."""
     n_p = len(estimate.theta)
@@ -413,7 +398,7 @@ def _uncertainty(
         lower, upper = np.array([(q.lower, q.upper) for q in optimum.problem.assembly.free]).T
         near = np.minimum(estimate.theta - lower, upper - estimate.theta) <= _NEAR * (upper - lower)
         on_bound = near & (force * np.sqrt(np.diag(without(no_one).white)) > TOLERANCES.rest)
-    spread = without(on_bound, coloured=coloured, bootstrap=bootstrap)
+    spread = without(on_bound, coloured=coloured)
     return on_bound, spread if optimum.reweighted is None else spread.scaled(*optimum.reweighted.factors)
 
 
@@ -482,22 +467,21 @@ _OVERFLOWS = "the model overflows at {} of the points that the solver tried; it 
 
 
 def _notes(
-    optimum: Optimum, theta: FloatArray, on_bound: BoolArray, spread: Covariance, coloured: StdKind | None
+    optimum: Optimum, theta: FloatArray, on_bound: BoolArray, spread: Covariance, coloured: bool
 ) -> tuple[str, ...]:
     """Return notes on the standard deviations, and on parameters whose sign is open or whose deviation is suspicious.
 
-    `coloured` is the kind of the standard deviations where the residuals are not white.
+    `coloured` tells whether the residuals are not white.
     """
     structure, assembly, reweighted = optimum.problem.task.structure, optimum.problem.assembly, optimum.reweighted
     names = np.array([q.name for q in assembly.free])
     notes = [FitNote.ON_BOUND(f"{name} lies on a bound: no standard deviation") for name in names[on_bound]]
     notes += not_determined(spread.undetermined, names)
     if coloured:
-        kind = "those of the bootstrap" if coloured == "bootstrap" else "the robust ones"
         notes.append(
             FitNote.NOT_WHITE(
-                f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
-                f"structure itself{weights_would_help(spread)}"
+                "the residuals are not white: standard deviations are the robust ones, and do not contain the error of "
+                f"the structure itself{weights_would_help(spread)}"
             )
         )
     if spread.flatness < FLATTEST:

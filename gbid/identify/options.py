@@ -9,14 +9,13 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, Number, Positive, check_options, plain
+from gbid.core.option_types import Allowed, Count, Exact, Finite, Number, Positive, check_options, plain
 from gbid.discretise import Hold
 
 Focus = Literal["prediction", "simulation"]
 Criterion = Literal["trace", "det"]
 Scope = Literal["recording", "operating_point"]
 LossName = Literal["huber", "student"]
-StdName = Literal["auto", "bootstrap"]
 ErrorsName = Literal["white", "ar"]
 Stop = Literal["tolerance", "paper"]
 RunEngine = Literal["compiled", "numpy"]
@@ -33,7 +32,6 @@ ExtraCost = Callable[[Any, Any], Any]
 """``extra_cost(p, x0)``, an expression."""
 Constraints = Callable[[Any, Any], Sequence[tuple[float, Any, float]]]
 """``constraints(p, x0)``, expressions between their bounds."""
-DRAWS, FEWEST_DRAWS = 200, 50  # a 95 % quantile of fewer draws is rough
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +74,6 @@ class FitOptions:
         Model of the errors of a simulation. "ar": a vector autoregression for each recording, whose order is Akaike's
         choice, from the residuals. It filters errors and sensitivities, and is estimated again until the estimates are
         at rest (generalised least squares). `criterion` is then that of the least squares at which this begins.
-    std : {"auto", "bootstrap"}
-        Standard deviations. "auto": those for white errors, or robust ones where the residuals are not white.
-        "bootstrap": the robust ones times a factor for each parameter, so that 95 % intervals hold for errors that are
-        drawn from the model of the residuals. It takes the time of as many robust standard deviations as draws.
-    bootstrap_draws, bootstrap_seed : int, optional
-        Number of draws, at least 50 (default 200), and seed of the random numbers (default 0). The same seed gives the
-        same standard deviations.
     profile : sequence of str or "all"
         Parameters of the structure whose profile likelihoods are computed and stored with the result, see
         `gbid.profile`; "all" takes twelve times the time of the fit for 24 parameters.
@@ -125,9 +116,6 @@ class FitOptions:
     robust: LossName | None = None
     robust_threshold: Positive | None = None
     errors: ErrorsName = "white"
-    std: StdName = "auto"
-    bootstrap_draws: Annotated[int, Exact(), Ge(FEWEST_DRAWS)] | None = None
-    bootstrap_seed: CountOrZero | None = None
     profile: Annotated[Literal["all"] | Sequence[str], Allowed("names of parameters, or the word all")] = ()
     trend: Annotated[TrendName | Mapping[str, TrendName], Allowed(TRENDS)] = "none"
     hum: Annotated[Number | Sequence[Number], Allowed("frequencies [Hz]")] = ()
@@ -140,18 +128,13 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        for name, needed, words in (
-            ("robust_threshold", self.robust, "robust = 'huber' or 'student'; give one of them, too"),
-            ("bootstrap_draws", self.std == "bootstrap", "std = 'bootstrap'; give that, too"),
-            ("bootstrap_seed", self.std == "bootstrap", "std = 'bootstrap'; give that, too"),
-        ):
-            if getattr(self, name) is not None and not needed:
-                raise UsageError(f"{name} is for {words}")
+        if self.robust_threshold is not None and self.robust is None:
+            raise UsageError("robust_threshold is for robust = 'huber' or 'student'; give one of them, too")
         if self.errors == "ar":
             if self.focus != "simulation":
                 raise UsageError("errors = 'ar' is for focus = 'simulation'; in a prediction, free a disturbance gain")
-            for name, standard in (("robust", None), ("output_weights", None), ("std", "auto")):
-                if getattr(self, name) != standard:
+            for name in ("robust", "output_weights"):
+                if getattr(self, name) is not None:
                     raise UsageError(f"errors = 'ar' weights the errors itself; leave {name} out")
 
 

@@ -29,7 +29,7 @@ from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainMode
 from gbid.structure import LinearModel, NonlinearModel
 from gbid.structure.scheduling import Schedule
 
-StdKind = Literal["white", "robust", "bootstrap"]
+StdKind = Literal["white", "robust"]
 
 
 class FitStatus(StrEnum):
@@ -229,14 +229,13 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     free : tuple of str
         Estimated parameters, in the order of `covariance`.
     covariance : (n_free, n_free) array
-        Covariance to use: `covariance_white`, `covariance_robust` or `covariance_bootstrap`, as `trusted` says; where
-        it says "none", the robust one.
+        Covariance to use: `covariance_white` or `covariance_robust`, as `trusted` says; where it says "none", the
+        robust one.
     covariance_white, covariance_robust : (n_free, n_free) array
         Covariance for white residuals, and for coloured residuals.
-    trusted : {"white", "robust", "bootstrap", "none"}
-        Covariance that the whiteness test of the residuals selects; "bootstrap" where that was asked for. A fit that is
-        no estimate has no bootstrap, and its robust covariance. "none" where residuals follow an input: the structure
-        leaves something out, and no covariance contains that.
+    trusted : {"white", "robust", "none"}
+        Covariance that the whiteness test of the residuals selects; the robust one in a fit that is no estimate.
+        "none" where residuals follow an input: the structure leaves something out, and no covariance contains that.
     whiteness : (n_outputs,) array
         p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
         outputs.
@@ -298,8 +297,6 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         estimates. Below 0.1 for a success.
     model_slopes : ModelSlopes or None
         Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves.
-    covariance_bootstrap : (n_free, n_free) array or None
-        Robust covariance with the standard deviations of the bootstrap; None where none was asked for.
     integration_shift : (n_free,) array or None
         How far the estimates move, in standard deviations, when the step of the integrator of a nonlinear structure or
         the pieces of a scheduled one are halved; None for any other structure, which is integrated exactly.
@@ -349,9 +346,6 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     multi_start: StartsTried | None = None
     model_slopes: ModelSlopes | None = None
     optimality: Annotated[float | None, Stored("", "next step over standard deviations")] = None
-    covariance_bootstrap: Annotated[
-        FloatArray | None, _of_free("covariance_bootstrap", "robust covariance with the bootstrap's deviations")
-    ] = None
     log_likelihood: Annotated[float, Stored("", "Gaussian log-likelihood of the errors")] = np.nan
     error_models: tuple[ErrorModel, ...] = ()
     integration_shift: Annotated[
@@ -365,7 +359,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         FloatArray | None, Stored("SI", "shift of the free parameters with exact delays and inputs on curves", "free")
     ] = None
 
-    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 3)
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 4)
 
     def __post_init__(self) -> None:
         """Give the model the inter-sample behaviour of the fit; that of a loop is sampled, and has it already."""
@@ -548,22 +542,15 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
         Parameters
         ----------
-        kind : {"white", "robust", "bootstrap"}
+        kind : {"white", "robust"}
             Covariance to use.
 
         Returns
         -------
         dict of str to float
             Standard deviations by name.
-
-        Raises
-        ------
-        UsageError
-            When the fit has no bootstrap.
         """
-        chosen: FloatArray | None = getattr(self, f"covariance_{kind}")
-        if chosen is None:
-            raise UsageError("this fit has no bootstrap; fit with std='bootstrap'")
+        chosen = self.covariance_white if kind == "white" else self.covariance_robust
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))
         return {
             name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()

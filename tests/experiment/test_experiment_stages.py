@@ -231,7 +231,7 @@ def test_later_stages_name_what_is_missing(tmp_path):
 OPTIONS = (
     "{structure: piezo_pair, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
-    "std: bootstrap, bootstrap_draws: 300, bootstrap_seed: 7, initial_state: zero, "
+    "initial_state: zero, "
     "window: 400, ipopt: {max_iter: 30, linear_solver: mumps}, "
     "left_out: {p5_n6000_prbs1: [[0.1, 0.1503], [0.5, 0.6]]}, bounds: {p2_x: [null, 2.0e4]}}"
 )
@@ -255,7 +255,6 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     # a sample at the end counts again: 0.1503 s lies between samples 751 and 752
     assert arguments["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
     assert (arguments["robust"], arguments["robust_threshold"]) == ("student", 5.0)
-    assert (arguments["std"], arguments["bootstrap_draws"], arguments["bootstrap_seed"]) == ("bootstrap", 300, 7)
     assert (arguments["trend"], arguments["hum"]) == ({"u_x": 2, "u_y": "linear"}, 50.0)
     assert arguments["ipopt"] == {"max_iter": 30, "linear_solver": "mumps"}
     alone = fit_arguments(experiment, "piezos", data[1:])

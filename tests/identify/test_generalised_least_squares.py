@@ -278,7 +278,6 @@ def test_options_that_contradict_it_are_refused(coloured_fit):
         ({}, "focus = 'simulation'"),
         ({"focus": "simulation", "robust": "huber"}, "leave robust out"),
         ({"focus": "simulation", "output_weights": [1.0]}, "leave output_weights out"),
-        ({"focus": "simulation", "std": "bootstrap"}, "leave std out"),
         ({"focus": "simulation", "extra_cost": lambda p, x0: p.a0}, "extra_cost and constraints"),
     ):
         with pytest.raises(UsageError, match=words):

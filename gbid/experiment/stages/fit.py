@@ -37,7 +37,6 @@ from gbid.experiment.structures import (
 )
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
-from gbid.identify.result import StdKind
 from gbid.identify.table import MODE_BLOCKS
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, LinearModel, kind_of
@@ -525,13 +524,12 @@ def parameter_rows(result: identify.FitResult, truth: Mapping[str, float]) -> li
     Returns
     -------
     list of dict
-        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
+        parameter, estimate, std (the one to use), std_white, std_robust, truth,
         deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
         None, also the standard deviation of a parameter without one.
     """
     rows = []
-    kinds: tuple[StdKind, ...] = ("white", "robust", "bootstrap")
-    stds = {q: result.std_with(q) for q in kinds if q != "bootstrap" or result.covariance_bootstrap is not None}
+    white, robust = result.std_with("white"), result.std_with("robust")
     for name, estimate in result.parameters.items():
         std, true = result.std[name], truth.get(name)
         off = None if true is None else estimate - true
@@ -540,7 +538,8 @@ def parameter_rows(result: identify.FitResult, truth: Mapping[str, float]) -> li
                 "parameter": name,
                 "estimate": estimate,
                 "std": finite_or_none(std),
-                **{f"std_{kind}": finite_or_none(by_name[name]) for kind, by_name in stds.items()},
+                "std_white": finite_or_none(white[name]),
+                "std_robust": finite_or_none(robust[name]),
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,

@@ -20,14 +20,11 @@ from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_pa
 from gbid.identify.problem.integration import linearised
 from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.uncertainty.coloured import (
-    Bootstrap,
     ErrorModel,
-    Estimator,
     OnDemand,
     RecordSensitivities,
     Transform,
     Whitening,
-    bootstrap_factors,
     score_covariance,
     transformed,
     whitened,
@@ -547,8 +544,6 @@ class Covariance(NamedTuple):
         Unit directions, in parameters scaled by their curvature, that the data do not determine; usually empty.
     condition : float
         Condition number of the scaled information matrix.
-    bootstrap : (n_p, n_p) array or None
-        Robust covariance with the standard deviations that a bootstrap gives.
     models : tuple of ErrorModel
         Model of the errors of each record; empty where the robust covariance is the white one.
     curvature : (n_p, n_p) array
@@ -562,7 +557,6 @@ class Covariance(NamedTuple):
     flatness: float
     undetermined: FloatArray
     condition: float
-    bootstrap: FloatArray | None = None
     models: tuple[ErrorModel, ...] = ()
     curvature: FloatArray = np.zeros((0, 0))
     weighted: FloatArray | None = None
@@ -572,37 +566,27 @@ class Covariance(NamedTuple):
         """Parameters that the data do not determine, (n_p,)."""
         return np.asarray((np.abs(self.undetermined) > _INVOLVED).any(axis=0))
 
-    def of(self, kind: Literal["white", "robust", "bootstrap"]) -> FloatArray:
+    def of(self, kind: Literal["white", "robust"]) -> FloatArray:
         """Return the covariance of a kind."""
         chosen: FloatArray = getattr(self, kind)
         return chosen
 
     def scaled(self, white: float, robust: float) -> Covariance:
         """Return the covariances times these factors."""
-        bootstrap = None if self.bootstrap is None else self.bootstrap * robust
-        return self._replace(white=self.white * white, robust=self.robust * robust, bootstrap=bootstrap)
+        return self._replace(white=self.white * white, robust=self.robust * robust)
 
     def along(self, onto: FloatArray) -> Covariance:
         """Return the covariances of the estimates after a projection ``onto`` (n_p, n_p)."""
-        bootstrap = None if self.bootstrap is None else onto @ self.bootstrap @ onto.T
         white, robust, curvature = (onto @ each @ onto.T for each in (self.white, self.robust, self.curvature))
-        return self._replace(white=white, robust=robust, bootstrap=bootstrap, curvature=curvature)
+        return self._replace(white=white, robust=robust, curvature=curvature)
 
     def widened(self, bias: FloatArray) -> Covariance:
         """Return the covariances with a bias (n_p,), whose size is known, as one more error."""
         more = np.outer(bias, bias)
-        bootstrap = None if self.bootstrap is None else self.bootstrap + more
-        return self._replace(white=self.white + more, robust=self.robust + more, bootstrap=bootstrap)
+        return self._replace(white=self.white + more, robust=self.robust + more)
 
 
-def covariance(
-    at: Estimate,
-    error_products: FloatArray,
-    held: BoolArray,
-    *,
-    coloured: bool = False,
-    bootstrap: Bootstrap | None = None,
-) -> Covariance:
+def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, coloured: bool = False) -> Covariance:
     """Return the covariance of the parameters at an estimate.
 
     Parameters
@@ -616,8 +600,6 @@ def covariance(
     coloured : bool
         Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
         residuals and the exact Hessian of the cost, which needs further passes.
-    bootstrap : Bootstrap, optional
-        Number of draws and seed of a bootstrap of the robust covariance, which counts residuals as coloured.
 
     Returns
     -------
@@ -634,7 +616,7 @@ def covariance(
     largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.coloured`. A prior
     adds its information to H, and to J as a measurement with its variance does.
     """
-    problem, modelled = at.problem, coloured or bootstrap is not None
+    problem = at.problem
     n_p, estimated = problem.n_theta, ~at.given.ravel()
     unit_power = np.eye(len(error_products)) / problem.n_samples  # that of filtered errors
     weight = unit_power if at.filters else problem.weight(error_products)
@@ -649,8 +631,8 @@ def covariance(
         information = _information_of(at, list(windowed_records(at)), weight, shaped)
     else:
         other = None if alike else shaped
-        left = None if modelled else information_of_last_pass(at, shaped=other)
-        information = left or information_over_records(at, weight, shaped=other, observed=modelled)
+        left = None if coloured else information_of_last_pass(at, shaped=other)
+        information = left or information_over_records(at, weight, shaped=other, observed=coloured)
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
@@ -681,11 +663,10 @@ def covariance(
 
     J_white = root.T @ J_white @ root
     white = robust = over_parameters(J_white, root)
-    drawn, models, onto, weighted = None, list[ErrorModel](), root, None
-    if modelled:
+    models, onto, weighted = list[ErrorModel](), root, None
+    if coloured:
         records, estimates = information.sensitivities, np.flatnonzero(keep)
         transforms: Sequence[Transform] = OnDemand(lambda i: transformed(records[i], estimates), len(records))
-        transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         plain = all(segment.is_plain for part in problem.parts for segment in part.blocks.segments)
         usable = not at.filters and plain and not any(part.predictor.feeds_back for part in problem.parts)
         filtered = np.zeros_like(H) if usable else None
@@ -693,8 +674,7 @@ def covariance(
         if filtered is not None:
             inner = np.asarray(np.linalg.pinv(within(filtered + _known(at)[kept]), hermitian=True), float)
             weighted = over_parameters(inner, (np.eye(len(scale)) if along is None else along) / scale[:, None])
-        J_known = root.T @ (known * unit)[kept] @ root
-        J += J_known
+        J += root.T @ (known * unit)[kept] @ root
         blurred = eigenvalues[~undetermined] < _RESOLVED * eigenvalues[-1]
         if information.observed is not None:
             exact = root.T @ (information.observed + known)[kept] @ root
@@ -702,11 +682,6 @@ def covariance(
             flatness = float(curvatures[0])
             onto = root @ (axes / curvatures) @ axes.T if flatness >= FLATTEST else root
         robust = over_parameters(_with_rounding(J, blurred, J_white), onto)
-        if bootstrap is not None:
-            estimator = Estimator(weight, root, onto, J_known, blurred)
-            factors = np.ones(n_p)
-            factors[~held] = bootstrap_factors(list(transforms), models, estimator, bootstrap)[:n_kept]
-            drawn = robust * np.outer(factors, factors)
 
     directions = np.zeros((int(undetermined.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, undetermined].T
@@ -715,7 +690,7 @@ def covariance(
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     curvature = np.zeros((n_p, n_p))
     curvature[np.ix_(~held, ~held)] = onto[:n_kept] @ root[:n_kept].T
-    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models), curvature, weighted)
+    return Covariance(white, robust, flatness, directions, condition, tuple(models), curvature, weighted)
 
 
 def _known(at: Estimate) -> FloatArray:
