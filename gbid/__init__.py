@@ -14,6 +14,17 @@ if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:  # Python is looking for 
     if _is_gbid and sys.path[0] != dirname(dirname(__file__)):  # noqa: PTH120  (pathlib would be looked up there)
         del sys.path[0]
 
+from .core.figures import Pictured
 from .core.public import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
+
+
+def _draw(*value: object, **options: object) -> object:
+    """Draw the first figure of a value; what draws is imported with the first one."""
+    from .report.pictures import shown
+
+    return shown(*value, **options)
+
+
+Pictured.renderer = staticmethod(_draw)

@@ -68,8 +68,9 @@ def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     from gbid.control import ImpactStudy
     from gbid.control.assessment import TunedDesign
     from gbid.core.hdf5 import load
-    from gbid.experiment.stages.fit import fit_document
+    from gbid.core.tables import titled
     from gbid.identify import FitResult
+    from gbid.identify.fit_tables import fit_document
     from gbid.lpv import LPVFit
     from gbid.prefilter import PrefilterFile
     from gbid.report import control_tables, fit_tables
@@ -79,8 +80,7 @@ def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     document: dict[str, Any]
     match value:
         case FitResult():
-            document = fit_document(value, {}, None)
-            tables = fit_tables.fit_tables(f"{path.parent.name}, {name}", document)
+            document, tables = fit_document(value), titled(f"{path.parent.name}, {name}", value.tables())
         case TunedDesign():
             (document,) = control_tables.tuning_documents((), {name: value})
             tables = control_tables.tuning_tables([document])

@@ -7,18 +7,20 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from gbid.core.names import html_text, printable
+from gbid.core.tables import Table, html_table
 
 WIDTH = 110
 """Number of characters in a line."""
 _PROGRESS = 79  # characters of a line that is written over
 _NO_BREAK = "\u00a0"  # stands for a space inside an entry, so that a line break does not split the entry
+_LONG = 100  # rows of tables that a notebook does not show
 _ROWS = 12  # fields that are shown where a class does not choose
 FEW = 6
 """Largest number of entries that are shown in full; of longer values the first entries or the range are shown."""
@@ -70,7 +72,8 @@ class Description:
             for name, value in self.rows.items()
         )
         also = f"<p><small>also: {html_text(', '.join(self.others))}</small></p>" if self.others else ""
-        return f"<div><p><strong>{html_text(self.heading)}</strong></p><table><tbody>{rows}</tbody></table>{also}</div>"
+        table = f"<table><tbody>{rows}</tbody></table>" if rows else ""
+        return f"<div><p><strong>{html_text(self.heading)}</strong></p>{table}{also}</div>"
 
 
 def _read_only(entries: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -84,10 +87,10 @@ copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))
 
 
 class Brief:
-    """Base of results that describe themselves in a few lines, in the shell and in a notebook.
+    """Base of results that describe themselves: in a few lines in the shell, by tables on pages and in notebooks.
 
     A result of any size prints at most a screen. Subclasses choose in `_brief` what is shown; by default it is the
-    fields.
+    fields. In a notebook, tables that fit on a screen stand in place of these lines.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -99,8 +102,15 @@ class Brief:
     def __repr__(self) -> str:
         return self._brief().text()
 
+    def tables(self) -> list[Table]:
+        """Return the tables of this value; empty for one that only describes itself."""
+        return []
+
     def _repr_html_(self) -> str:
-        return self._brief().html()
+        about, tables = self._brief(), self.tables()
+        if not tables or sum(len(table.rows) for table in tables) > _LONG:
+            return about.html()
+        return replace(about, rows={}).html() + "".join(map(html_table, tables))
 
     def _brief(self) -> Description:
         names = [field.name for field in fields(self) if not field.name.startswith("_")]  # type: ignore[arg-type]  # all are

@@ -1,4 +1,4 @@
-"""Optional packages, data frames of pandas, and values that have a picture."""
+"""Optional packages, and data frames of pandas."""
 
 from __future__ import annotations
 
@@ -70,33 +70,3 @@ def data_frame(columns: Mapping[str, Any], *, index: str = "", units: Mapping[st
     frame = pandas.DataFrame(dict(columns))
     frame.attrs["units"] = {name: unit for name, unit in (units or {}).items() if unit}
     return frame.set_index(index) if index else frame
-
-
-# ---- Pictures of values, drawn by the report at the time of the call.
-
-
-class Pictured:
-    """Base of values with a picture.
-
-    A value lies below the report, which draws. So the report is imported by name, and only when a picture is wanted.
-    `gbid.report.plot` knows which picture belongs to which type.
-    """
-
-    def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draw the picture of this value, as ``gbid.report.plot(value, ax, **options)`` does.
-
-        A new figure belongs to ``matplotlib.pyplot``: a notebook shows it, and so does ``plt.show()``.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes or array of them, optional
-            Axes to draw into; a new figure when left out.
-        **options
-            Options of the picture function, which `gbid.report.plot` names.
-
-        Returns
-        -------
-        matplotlib Axes or array of them
-            The axes; their ``figure`` is the figure.
-        """
-        return import_module("gbid.report.pictures").shown(self, ax, **options)

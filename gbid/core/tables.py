@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -115,6 +115,8 @@ def file_size(count: int) -> str:
     return f"{value:.3g} GB"
 
 
+Row = dict[str, Any]
+"""Row of plain values by key, for JSON and tables."""
 Value = str | float | int | bool | None
 """Value of a cell: text, number, or yes and no. None and nan are missing values."""
 
@@ -258,6 +260,11 @@ class Table:
         values = [[value_of(entry) for entry in row] for row in self.rows]
         rows = [[finite_or_none(value) if isinstance(value, float) else value for value in row] for row in values]
         return {"title": self.title, "columns": [column.heading for column in self.columns], "rows": rows}
+
+
+def titled(title: str, tables: Iterable[Table]) -> list[Table]:
+    """Return tables of which the first has a title, before the one that it has."""
+    return [replace(q, title=f"{title}: {q.title}".removesuffix(": ")) if i == 0 else q for i, q in enumerate(tables)]
 
 
 def value_of(entry: Entry) -> Value:

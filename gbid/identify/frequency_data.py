@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import Pictured
+from gbid.core.figures import Pictured
 from gbid.core.tables import Column, Table
 from gbid.identify.predictor import Predictor, matrices_with_slopes
 from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
@@ -86,6 +86,8 @@ class FrequencyData(ChannelCurves, Pictured):
     name: str = "response"
     correlation: tuple[float, ...] = ()
     of_loop: bool = False
+
+    drawn_by = "plot_bode"
 
     def __init__(
         self,

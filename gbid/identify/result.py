@@ -17,11 +17,12 @@ from gbid.core import hdf5
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import UsageError
-from gbid.core.extras import Pictured
+from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
-from gbid.core.tables import Column, Entry, Table, html_table
+from gbid.core.tables import Column, Entry, Table
 from gbid.core.units import IN_METRES
 from gbid.identify.disturbances import Disturbances
+from gbid.identify.fit_tables import fit_document, fit_tables
 from gbid.identify.options import RunEngine, SettledOptions
 from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.curves import Bode, bode
@@ -140,6 +141,8 @@ class Profile(Brief, Pictured):
     losses: Annotated[FloatArray, Stored("", "loss with the parameter fixed", "n")]
     interval: tuple[float, float]
     verdict: Verdict
+
+    drawn_by = "plot_profile"
 
     @property
     def threshold(self) -> float:
@@ -406,11 +409,16 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         ]
         return Table("", columns, rows)
 
-    def _repr_html_(self) -> str:
-        """Return the description with the table of the parameters, for a notebook."""
-        about = self._brief()
-        rows = {name: text for name, text in about.rows.items() if name != "parameters"}
-        return replace(about, rows=rows).html() + html_table(self.table())
+    def tables(self) -> list[Table]:
+        """Return the tables of parameters, modes, static gains, profile likelihoods, and a summary."""
+        return fit_tables(fit_document(self))
+
+    def figures(self) -> list[Figure]:
+        """Return the frequency response, and profile likelihoods where the fit was asked for them."""
+        verdicts = ", ".join(f"{name} {profile.verdict}" for name, profile in self.profiles.items())
+        profiles = [Figure("plot_profile", f"Profile likelihoods: {verdicts}", (self.profiles,))]
+        shown = Figure("plot_bode", f"Frequency response of {self.structure} with confidence bands", (self,))
+        return [shown, *(profiles if self.profiles else [])]
 
     def to_frame(self) -> Any:
         """Return the parameters as a data frame: value, standard deviation, unit, start value and its origin by name.

@@ -18,7 +18,8 @@ from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import Pictured, data_frame
+from gbid.core.extras import data_frame
+from gbid.core.figures import Pictured
 from gbid.core.option_types import Own
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import MAX_JITTER
@@ -158,6 +159,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
     stamps: Annotated[FloatArray | None, Own()] = None
+
+    drawn_by = "plot_recording"
 
     def __post_init__(self) -> None:
         for key in (*self.signals, *self.conditions):

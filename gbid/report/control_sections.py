@@ -16,9 +16,8 @@ from gbid.control.assessment import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
-from gbid.core.tables import Column, Entry, Table
+from gbid.core.tables import Column, Entry, Row, Table
 from gbid.experiment.controllers import published_machine
-from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import made_costs
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model import TERMS

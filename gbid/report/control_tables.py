@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gbid import control, lpv
 from gbid.core.arrays import point_label
-from gbid.core.tables import Cell, Column, Entry, Table, formatted, shown_unit
+from gbid.core.tables import Cell, Column, Entry, Row, Table, formatted, shown_unit
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Outcome
 from gbid.experiment.stages.cycle import CycleRow
-from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import LoopCostRow
 from gbid.report.fit_tables import keyed_table
 from gbid.report.read import conditions_words

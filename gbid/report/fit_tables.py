@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
-from math import floor, log10
 from pathlib import Path
 from typing import Any
 
@@ -19,199 +18,19 @@ from gbid.core.tables import (
     Cell,
     Column,
     Entry,
+    Row,
     Table,
-    engineering,
-    exponent_of,
     finite_or_none,
     formatted,
-    probability,
     shown_unit,
 )
 from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run import Outcome
-from gbid.experiment.stages.fit import Row
 from gbid.prefilter import PrefilterReport
 from gbid.recording import load_recording
 from gbid.recording.readers import FileChannel
 from gbid.structure import KEY_PARAMETERS, PiezoPair
-
-# ---- Summary of a fit in words.
-
-Line = tuple[str, str]
-"""Heading and text of a line."""
-
-_MINIMA = 6  # largest number of minima that are listed
-_FAR = 5.0  # smallest deviation from the truth, in standard deviations, that noise does not explain
-
-
-def summary_lines(document: Row) -> Iterator[Line]:
-    """Yield the lines of the summary: fit percent, weights, residuals, start, status of the solver, and notes.
-
-    Parameters
-    ----------
-    document : dict
-        Document of `gbid.experiment.stages.fit.fit_document`.
-
-    Yields
-    ------
-    (word, text)
-        Heading and text of each line.
-    """
-    how = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
-    for recording in document["recordings"]:
-        fits = [row for row in document["fit_percent"] if row["recording"] == recording]
-        text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
-        yield "fit", f"{text} ({how}, on {recording})"
-    if len(document["whiteness"]) > 1:
-        det = document["options"].get("criterion") == "det"
-        yield "outputs", "weighted by the covariance of their errors (det)" if det else "squared errors summed (trace)"
-    yield "residuals", residuals_line(document)
-    yield "start", start_line(document)
-    if document["multi_start"]:
-        yield "starts", starts_line(document["multi_start"])
-    condition = "" if document["condition"] is None else f", condition {document['condition']:.1g}"
-    text = f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s{condition}"
-    yield "solver", text
-    yield from (("note", note) for note in document["notes"])
-    far = [row for row in document["parameters"] if abs(row["deviation_std"] or 0.0) > _FAR]
-    if far:
-        names = ", ".join(f"{row['parameter']} ({row['deviation_std']:+.0f})" for row in far)
-        text = f"many standard deviations from the truth: {names}; a bias of structure, hold or prefilter, not noise"
-        yield "note", text
-
-
-def residuals_line(document: Row) -> str:
-    """Return the whiteness of each output with its p-value, as text."""
-    level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
-
-    def word(p: float | None) -> str:
-        return "unknown" if p is None else f"{'white' if p >= level else 'not white'} ({probability(p)})"
-
-    return ", ".join(f"{row['output']} {word(row['p_value'])}" for row in document["whiteness"])
-
-
-def start_line(document: Row) -> str:
-    """Return the numbers of start values by origin; those of the user are listed by name."""
-    rows = [row for row in document["parameters"] if not row["fixed"]]
-    words = {"data": "from the data", "structure": "from the structure", "user": "given"}
-    parts = []
-    for origin, word in words.items():
-        names = [row["parameter"] for row in rows if row["start_origin"] == origin]
-        if names:
-            listed = f" ({', '.join(names)})" if origin == "user" or len(names) <= 4 else ""
-            parts.append(f"{len(names)} {word}{listed}")
-    return ", ".join(parts)
-
-
-def starts_line(row: Row) -> str:
-    """Return the number of starts that led to the best loss, and the minima with their losses, as text."""
-    spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
-    text = (
-        f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "
-        f"largest over smallest loss {spread}"
-    )
-    minima = [f"{loss:.5g} ({count})" for loss, count in zip(row["minima"], row["minima_starts"], strict=True)]
-    if len(minima) < 2:
-        return text
-    more = [f"{len(minima) - _MINIMA} more"] if len(minima) > _MINIMA else []
-    return f"{text}; {len(minima)} minima, loss (starts): {', '.join([*minima[:_MINIMA], *more])}"
-
-
-# Heading, unit, entries of the row, and smallest number of decimals of a mode.
-_MODE = (
-    ("frequency\n", "Hz", "frequency_hz", "frequency_std_hz", "true_frequency_hz", 2),
-    ("damping\nfactor", "", "damping", "damping_std", "true_damping", 4),
-)
-
-
-def fit_tables(title: str, document: Row) -> list[Table]:
-    """Return the tables of a fit: parameters, modes, static gain, profile likelihoods and summary.
-
-    Parameters
-    ----------
-    title : str
-        Title of the first table.
-    document : dict
-        Document of `gbid.experiment.stages.fit.fit_document`.
-    """
-    return [
-        parameter_table(title, document["parameters"], document["trusted"]),
-        *([mode_table(document["modes"])] if document["modes"] else []),
-        *([gain_table(document["static_gain"])] if document["static_gain"] else []),
-        *([profile_table(document["profiles"])] if document["profiles"] else []),
-        Table("", [Column(""), Column("", wrap=True)], list(summary_lines(document))),
-    ]
-
-
-def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
-    """Return the table of estimates, standard deviations and truth; the numbers of a row have one power of ten."""
-    with_truth = any(row["truth"] is not None for row in rows)
-    kind = "not trusted" if trusted == "none" else trusted
-    columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({kind})", format=2)]
-    if with_truth:
-        columns += [Column("truth", format=5), Column("off by", format="+z.2f"), Column("in std", format="+z.1f")]
-    laid: list[list[Entry]] = []
-    for row in rows:
-        factor, unit = shown_unit(row["unit"])
-        estimate, spread = factor * row["estimate"], factor * (row["std"] or 0.0)
-        exponent = exponent_of(max(abs(estimate), spread))
-        std = Cell(None, "fixed") if row["fixed"] else _in_power(row["std"], 2, exponent, factor)
-        # Five significant digits, or enough to show the standard deviation.
-        fewer = estimate != 0 and abs(estimate) < spread
-        digits = max(1, 2 + floor(log10(abs(estimate))) - floor(log10(spread))) if fewer else 5
-        cells = [row["parameter"], _in_power(row["estimate"], digits, exponent, factor), std]
-        if with_truth:
-            off = formatted(row["deviation_percent"], "+z.2f", "%")
-            cells += [_in_power(row["truth"], 5, exponent, factor), off, row["deviation_std"]]
-        laid.append([*cells, unit])
-    return Table(title, [*columns, Column("unit")], laid)
-
-
-def mode_table(rows: Sequence[Row]) -> Table:
-    """Return the table of natural frequencies and damping factors."""
-    with_truth = any(row["true_frequency_hz"] is not None for row in rows)
-    columns = [Column("mode")]
-    laid: list[list[Entry]] = [[str(row["mode"])] for row in rows]
-    for heading, unit, key, std, true, least in _MODE:
-        form = f".{least}f"
-        columns += [Column(heading, unit, form), Column("std", format=form)]
-        columns += [Column("truth", format=form)] if with_truth else []
-        for row, cells in zip(rows, laid, strict=True):  # two digits of the standard deviation
-            decimals = min(max(least, 1 - floor(log10(row[std]))), 7) if row[std] else least
-            cells += [formatted(row[name], f".{decimals}f") for name in (key, std, *([true] if with_truth else []))]
-    return Table("", columns, laid)
-
-
-def gain_table(rows: Sequence[Row]) -> Table:
-    """Return the table of static gains; those that are zero by structure are left out."""
-    with_truth = any(row["truth"] is not None for row in rows)
-    columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
-    laid: list[list[Entry]] = []
-    for row in rows:
-        if row["gain"] != 0 or row["std"]:
-            exponent = exponent_of(row["gain"])
-            cells = [_in_power(row["gain"], 5, exponent), _in_power(row["std"], 2, exponent)]
-            cells += [_in_power(row["truth"], 5, exponent)] if with_truth else []
-            laid.append([f"{row['input']} to {row['output']}", *cells])
-    return Table("", [*columns, *([Column("truth", format=5)] if with_truth else [])], laid)
-
-
-def profile_table(rows: Sequence[Row]) -> Table:
-    """Return the table of the intervals of profile likelihoods."""
-    laid: list[list[Entry]] = []
-    for row in rows:
-        factor, unit = shown_unit(row["unit"])
-        exponent = exponent_of(factor * max(abs(row[end] or 0.0) for end in ("lower", "upper")))
-        ends = [_in_power(row[end], 5, exponent, factor) for end in ("lower", "upper")]
-        laid.append([row["parameter"], *ends, row["verdict"], unit])
-    head = f"profile likelihood, {100 * rows[0]['level']:g} %"
-    return Table("", [Column(head), Column("from"), Column("to"), Column("verdict"), Column("unit")], laid)
-
-
-def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1.0) -> Entry:
-    """Return a cell in a given power of ten, so that the numbers of a row can be compared."""
-    return None if value is None else Cell(factor * value, engineering(factor * value, digits, exponent))
 
 
 def keyed_table(

@@ -1,42 +1,38 @@
-"""Picture of a value: which picture function belongs to which type."""
+"""Figures of values, as the values describe them, and the figures of an experiment."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from functools import partial, singledispatch
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gbid.control import Sensitivities
+from gbid import report
 from gbid.core.errors import DataError, UsageError
+from gbid.core.figures import Figure, Pictured
 from gbid.core.tables import write_csv
 from gbid.experiment.experiment import figure_pairs, fit_models
 from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
-from gbid.identify import FitResult, Profile, SubspaceOrders, measured_response
+from gbid.identify import measured_response
 from gbid.identify.data import select
-from gbid.identify.frequency_data import FrequencyData
-from gbid.recording import Recording
 from gbid.recording.quality import runs
 from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot
-from gbid.report.measured_pictures import plot_recording, plot_residuals, plot_response
-from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_orders, plot_profile
-from gbid.structure import LinearModel
-from gbid.validate import ModelComparison, ResidualTest, Validation
+from gbid.report.measured_pictures import plot_residuals, plot_response
+from gbid.report.model_pictures import plot_bode
 
 
-@singledispatch
-def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
-    """Draw the picture that belongs to a value.
+def plot(value: Any, ax: Any = None, **options: Any) -> Any:
+    """Draw the first figure of a value.
 
     The method ``plot`` of these values does the same. Its figure belongs to ``matplotlib.pyplot``, so that notebooks
-    and ``plt.show()`` show it. Pictures of this function leave nothing behind.
+    and ``plt.show()`` show it. Figures of this function leave nothing behind.
 
     ======================================  ==================
     value                                   drawn by
@@ -69,27 +65,23 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     Raises
     ------
     UsageError
-        When no picture belongs to the type.
+        When no figure belongs to the type.
     """
-    known = ", ".join(sorted(kind.__name__ for kind in plot.registry if kind is not object))
-    raise UsageError(f"no picture belongs to {type(value).__name__}; there is one for {known}")
+    if not isinstance(value, Pictured):
+        known = "FitResult, Recording and other results with `figures()`"
+        raise UsageError(f"no picture belongs to {type(value).__name__}; there is one for {known}")
+    return drawn(value.figures()[0], ax, **options)
+
+
+def drawn(figure: Figure, ax: Any = None, **options: Any) -> Any:
+    """Draw a figure as it describes itself."""
+    return getattr(report, figure.function)(*figure.values, ax=ax, **{**figure.options, **options})
 
 
 def shown(value: Any, ax: Any = None, **options: Any) -> Any:
-    """Draw the picture that belongs to a value; a new figure belongs to pyplot, so that a notebook shows it."""
+    """Draw the first figure of a value; a new figure belongs to pyplot, so that a notebook shows it."""
     with shown_by_pyplot() if ax is None else nullcontext():
         return plot(value, ax, **options)
-
-
-plot.register(Recording, plot_recording)
-for kind in (LinearModel, FitResult, FrequencyData):
-    plot.register(kind, plot_bode)
-plot.register(ModelComparison, lambda comparison, ax=None, **options: plot_bode(comparison.models, ax, **options))
-plot.register(Profile, plot_profile)
-plot.register(SubspaceOrders, plot_orders)
-plot.register(Validation, plot_response)
-plot.register(ResidualTest, plot_residuals)
-plot.register(Sensitivities, plot_iso_zones)
 
 
 # ---- Stage that draws the figures of an experiment.

@@ -12,6 +12,7 @@ from gbid import characterise, control, lpv, validate
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
+from gbid.core.tables import Row
 from gbid.experiment.controllers import (
     design_structure,
     is_fitted,
@@ -28,7 +29,7 @@ from gbid.experiment.run import Job, Outcome, Task, standing
 from gbid.experiment.schema import ControllerSection, wanted_signals
 from gbid.experiment.stages.crossval import CrossvalRow, nominal_of, read_crossval, read_summary
 from gbid.experiment.stages.cycle import CycleRow, made_rows
-from gbid.experiment.stages.fit import FIT, Row, made_document
+from gbid.experiment.stages.fit import FIT, made_document
 from gbid.experiment.stages.impact import loops_without_controller, study_tasks
 from gbid.experiment.stages.importing import IMPORT
 from gbid.experiment.stages.lpv import read_surfaces

@@ -18,17 +18,17 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import read_made_with
 from gbid.core.index import known
-from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
+from gbid.core.tables import Cell, Column, Entry, Row, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
-from gbid.experiment.stages.fit import Row, load_made_fit, response_of
+from gbid.experiment.stages.fit import load_made_fit, response_of
+from gbid.identify.fit_tables import fit_tables
 from gbid.recording.clock import MAX_JITTER
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.control_tables import tuning_documents
 from gbid.report.fit_tables import (
     crossval_table,
     fit_href,
-    fit_tables,
     lpv_document,
     nominal_document,
     nominal_table,
@@ -199,7 +199,7 @@ def _heading(results: Results, q: MadeFit) -> dict[str, Any]:
 
 
 def _shown_tables(document: Row) -> dict[str, Any]:
-    *tables, facts = fit_tables("", document)
+    *tables, facts = fit_tables(document)
     return {
         "tables": [
             {"columns": [[c.heading, c.left] for c in table.columns], "rows": table.texts()} for table in tables

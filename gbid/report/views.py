@@ -13,14 +13,14 @@ import numpy as np
 
 from gbid import control, identify, lpv, validate
 from gbid.core.hdf5 import load
-from gbid.core.tables import Table
+from gbid.core.tables import Row, Table, titled
 from gbid.experiment.controllers import load_design
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
 from gbid.experiment.stages.crossval import SUMMARY, crossval_rows, nominal_of
 from gbid.experiment.stages.cycle import made_rows
-from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import made_costs
 from gbid.experiment.stages.static import load_made_static
+from gbid.identify.fit_tables import fit_tables
 from gbid.prefilter import PrefilterFile
 from gbid.report.control_tables import (
     cycle_documents,
@@ -35,7 +35,6 @@ from gbid.report.control_tables import (
 )
 from gbid.report.fit_tables import (
     crossval_table,
-    fit_tables,
     lpv_document,
     lpv_table,
     nominal_document,
@@ -90,7 +89,7 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def _fit_tables(document: Document) -> list[Table]:
-    return [table for fit in document["fits"] for table in fit_tables(f"{fit['fit']}, {fit['model']}", fit)]
+    return [table for fit in document["fits"] for table in titled(f"{fit['fit']}, {fit['model']}", fit_tables(fit))]
 
 
 def _static(job: Job, outcomes: Sequence[Outcome]) -> Document:

@@ -15,7 +15,8 @@ import scipy
 from gbid.core.arrays import ComplexArray, FloatArray, oscillatory_modes, poles_of_samples
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
-from gbid.core.extras import Pictured, extra_package
+from gbid.core.extras import extra_package
+from gbid.core.figures import Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import OneText
 from gbid.discretise import (
@@ -242,6 +243,8 @@ class LinearModel(SampledSignals, Brief, Pictured):
     B_delayed: Annotated[FloatArray | None, Stored("SI", "B_delayed of the model")] = None
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
     intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED, OneText()] = None
+
+    drawn_by = "plot_bode"
 
     def __post_init__(self) -> None:
         if self.dt is not None:

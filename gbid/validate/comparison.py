@@ -10,8 +10,8 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import Pictured
-from gbid.core.tables import Column, Entry, Table, html_table
+from gbid.core.figures import Figure, Pictured
+from gbid.core.tables import Column, Entry, Table
 from gbid.identify import FitResult, whiteness_test
 from gbid.identify.data import select
 from gbid.identify.uncertainty.curves import Tabled
@@ -64,9 +64,9 @@ class ModelComparison(Tabled, Pictured):
         ]
         return brief(self, f"{len(self.models)} models on {', '.join(self.recordings)}", models=each)
 
-    def _repr_html_(self) -> str:
-        """Return the table, for a notebook."""
-        return html_table(self.table())
+    def figures(self) -> list[Figure]:
+        """Return the frequency responses of the models."""
+        return [Figure("plot_bode", f"Frequency responses of {', '.join(self.models)}", (self.models,))]
 
     def table(self) -> Table:
         """Return a row for each model and output, with the smallest fit percent of the recordings."""

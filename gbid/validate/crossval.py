@@ -13,7 +13,8 @@ from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError
-from gbid.core.extras import Pictured, data_frame
+from gbid.core.extras import data_frame
+from gbid.core.figures import Pictured
 from gbid.core.hdf5 import Stored
 from gbid.core.option_types import Count, CountOrZero
 from gbid.identify import FitResult
@@ -351,6 +352,8 @@ class Validation(Brief, Pictured):
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     conditions: dict[str, float]
+
+    drawn_by = "plot_response"
 
     def _brief(self) -> Description:
         figures = {

@@ -11,7 +11,7 @@ import scipy
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import Pictured
+from gbid.core.figures import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.prefilter.runout import turns_per_second
@@ -85,6 +85,8 @@ class ResidualTest(Brief, Pictured):
     fit_percent: FloatArray
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+
+    drawn_by = "plot_residuals"
 
     def _brief(self) -> Description:
         return brief(

@@ -167,9 +167,9 @@ def test_tables_fit_a_terminal_of_80_columns(quick, capsys):
     from gbid.core.tables import terminal_table
     from gbid.experiment.run import Job, run_stage
     from gbid.experiment.stages.crossval import CROSSVAL
-    from gbid.experiment.stages.fit import FIT, fit_document
+    from gbid.experiment.stages.fit import FIT
     from gbid.experiment.stages.prefilter import PREFILTER
-    from gbid.report.fit_tables import summary_lines
+    from gbid.identify.fit_tables import fit_document, summary_lines
     from gbid.report.views import view_of
 
     job = Job(load_experiment(quick))
@@ -187,7 +187,7 @@ def test_tables_fit_a_terminal_of_80_columns(quick, capsys):
         assert unit in out
     assert len(re.findall(r"^note       the inputs are known .*\n           \S", out, re.MULTILINE)) == 2
     result = load_fit(next((job.experiment.results / "fits" / "bearing").glob("*.h5")))
-    lines = dict(summary_lines(fit_document(result, {"tau_x": 0.9 * result.parameters["tau_x"]}, None)))
+    lines = dict(summary_lines(fit_document(result, {"tau_x": 0.9 * result.parameters["tau_x"]})))
     assert re.match(r"many standard deviations from the truth: tau_x \(\+\d\d+\)", lines["note"])
 
 

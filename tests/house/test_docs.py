@@ -25,13 +25,13 @@ from typer.main import get_command
 import gbid
 from gbid.cli.main import app
 from gbid.cli.printing import print_tables
+from gbid.core.tables import titled
 from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.run import Job, run_stage
-from gbid.experiment.stages.fit import fit_document
 from gbid.experiment.stages.rig import RIG
 from gbid.identify import FitOptions
-from gbid.report.fit_tables import fit_tables
+from gbid.identify.fit_tables import fit_document, fit_tables
 from gbid.structure import Plant, RotorBearing, Structure
 
 DOCS = ROOT / "docs"
@@ -87,7 +87,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
     structure = Plant(RotorBearing(disturbance_gain="none"))
     truth_of = true_values(load_experiment(experiment), ["p5_n6000_prbs1"], structure)
     document = fit_document(result, truth_of, true_model(structure, truth_of, result.linear_model))
-    print_tables(*fit_tables("joint, p5_n6000_prbs1", document))
+    print_tables(*titled("joint, p5_n6000_prbs1", fit_tables(document)))
     lines = {skeleton(line) for line in capsys.readouterr().out.splitlines()}
     of_the_fit = joint.partition("joint, cross-validation")[0].splitlines()
     assert [line for line in of_the_fit if skeleton(line) not in lines] == []

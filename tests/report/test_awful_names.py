@@ -19,16 +19,14 @@ import gbid
 from gbid.cli.progress import LiveBar, ProgressReporter
 from gbid.core.errors import DataError
 from gbid.core.names import file_stem, printable
-from gbid.core.tables import csv_text, html_table, markdown_table, terminal_table
+from gbid.core.tables import csv_text, html_table, markdown_table, terminal_table, titled
 from gbid.experiment.run import Outcome
-from gbid.experiment.stages.fit import fit_document
 from gbid.export.chain import c_comment
 from gbid.export.matlab import save_mat
 from gbid.export.tables import save_csv, save_yaml
 from gbid.identify import TableEntry, tabulate
 from gbid.identify.table import csv_table
 from gbid.report.canvas import plain_label, save_figure, symbol
-from gbid.report.fit_tables import fit_tables
 from gbid.report.measured_pictures import plot_residuals, plot_response
 
 AWFUL = (
@@ -86,7 +84,7 @@ class Tags(HTMLParser):
 
 
 def tables_of(result):
-    return fit_tables(result.structure, fit_document(result, {}, None))
+    return titled(result.structure, result.tables())
 
 
 @pytest.mark.parametrize("name", AWFUL, ids=lambda name: ascii(name)[:20])

@@ -5,14 +5,12 @@ import math
 import pytest
 
 from gbid.core.tables import csv_text
+from gbid.identify.fit_tables import gain_table, mode_table, parameter_table
 from gbid.report.fit_tables import (
     campaign_tables,
     crossval_table,
-    gain_table,
     lpv_table,
-    mode_table,
     nominal_table,
-    parameter_table,
     recording_table,
     static_table,
 )
@@ -33,7 +31,7 @@ def test_a_parameter_has_one_power_of_ten_and_its_times_in_milliseconds():
         parameter("tau_x", 1.25e-3, 2e-6, "s"),
         parameter("b_xy", 1.2, None, fixed=True),
     ]
-    table = parameter_table("bearing", rows, "robust")
+    table = parameter_table(rows, "robust")
     assert [column.heading for column in table.columns] == [
         "parameter", "estimate", "std (robust)", "truth", "off by", "in std", "unit"
     ]  # fmt: skip
@@ -47,7 +45,7 @@ def test_a_parameter_has_one_power_of_ten_and_its_times_in_milliseconds():
 
 
 def test_without_truth_there_is_no_column_for_it():
-    assert len(parameter_table("", [parameter("k", 1.0, 0.1)], "white").columns) == 4
+    assert len(parameter_table([parameter("k", 1.0, 0.1)], "white").columns) == 4
     modes = [
         {"mode": 1, "frequency_hz": 101.23456, "frequency_std_hz": 0.0123, "damping": 0.05, "damping_std": None,
          "true_frequency_hz": None, "true_damping": None}

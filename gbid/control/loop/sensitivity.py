@@ -17,7 +17,7 @@ from gbid.control.loop.norm import Peak, larger_of_two, largest_singular_values,
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
-from gbid.core.extras import Pictured
+from gbid.core.figures import Pictured
 from gbid.structure import LinearModel, frequency_grid, with_pade
 
 Which = Literal["output", "input", "control", "plant", "complementary"]
@@ -49,6 +49,8 @@ class Sensitivities(Brief, Pictured):
 
     plant: LinearModel
     controller: LinearModel
+
+    drawn_by = "plot_iso_zones"
 
     def __post_init__(self) -> None:
         assert self._loop is not None  # raises an error when the models do not form a loop

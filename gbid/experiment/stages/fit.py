@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from functools import lru_cache, partial
 from itertools import islice
 from math import inf, nan
@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from gbid import identify, validate
-from gbid.core.errors import DataError, GbidError, UsageError, nearest
+from gbid.core.errors import DataError, GbidError, nearest
 from gbid.core.hdf5 import document_in, read_document, read_group, read_texts, reading, save
 from gbid.core.index import DOCUMENT, known, version_of
-from gbid.core.tables import finite_or_none
+from gbid.core.tables import Row
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
@@ -35,11 +35,12 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
+from gbid.identify.fit_tables import fit_document
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
 from gbid.identify.table import MODE_BLOCKS
 from gbid.recording import ProblemKind, Recording
-from gbid.structure import AnyStructure, LinearModel, kind_of
+from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
 
@@ -504,143 +505,6 @@ def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Re
                 for line in validate.shaft_lines(result, rec, left_out_of(job.experiment, name, rec))
             ]
     return notes
-
-
-# ---- Document of a fit: plain values in SI units for tables and JSON.
-
-Row = dict[str, Any]
-
-
-def parameter_rows(result: identify.FitResult, truth: Mapping[str, float]) -> list[Row]:
-    """Return estimates with standard deviations and, where known, true values.
-
-    Parameters
-    ----------
-    result : FitResult
-        Result of the fit.
-    truth : dict of str to float
-        True values of some parameters; may be empty.
-
-    Returns
-    -------
-    list of dict
-        parameter, estimate, std (the one to use), std_white, std_robust, truth,
-        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
-        None, also the standard deviation of a parameter without one.
-    """
-    rows = []
-    white, robust = result.std_with("white"), result.std_with("robust")
-    for name, estimate in result.parameters.items():
-        std, true = result.std[name], truth.get(name)
-        off = None if true is None else estimate - true
-        rows.append(
-            {
-                "parameter": name,
-                "estimate": estimate,
-                "std": finite_or_none(std),
-                "std_white": finite_or_none(white[name]),
-                "std_robust": finite_or_none(robust[name]),
-                "truth": true,
-                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
-                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
-                "unit": result.units[name],
-                "fixed": name not in result.free,
-                "start": result.start[name],
-                "start_origin": result.start_origin[name],
-            }
-        )
-    return rows
-
-
-def mode_rows(result: identify.FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
-    modes = result.model.modes()
-    known = truth.modes() if truth is not None else []
-    true = known if len(known) == len(modes) else [(None, None)] * len(modes)
-    return [
-        {
-            "mode": i,
-            "frequency_hz": frequency,
-            "frequency_std_hz": finite_or_none(frequency_std),
-            "damping": damping,
-            "damping_std": finite_or_none(damping_std),
-            "true_frequency_hz": true_frequency,
-            "true_damping": true_damping,
-        }
-        for i, ((frequency, damping), (frequency_std, damping_std), (true_frequency, true_damping)) in enumerate(
-            zip(modes, result.modes_std, true, strict=True), 1
-        )
-    ]
-
-
-def gain_rows(result: identify.FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
-    model = result.model
-    try:
-        gain = model.static_gain()
-    except UsageError:
-        return []
-    true = truth.static_gain() if truth is not None else None
-    return [
-        {
-            "output": output,
-            "input": source,
-            "gain": float(gain[i, j]),
-            "std": finite_or_none(result.static_gain_std[i, j]),
-            "truth": None if true is None else float(true[i, j]),
-        }
-        for i, output in enumerate(model.output_names)
-        for j, source in enumerate(model.input_names)
-    ]
-
-
-def profile_rows(result: identify.FitResult) -> list[Row]:
-    """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
-    return [
-        {
-            "parameter": name,
-            "level": profile.level,
-            "lower": finite_or_none(profile.interval[0]),
-            "upper": finite_or_none(profile.interval[1]),
-            "verdict": profile.verdict,
-            "unit": profile.unit,
-        }
-        for name, profile in result.profiles.items()
-    ]
-
-
-def fit_document(result: identify.FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
-    """Return the document of a fit."""
-    outputs, starts = result.model.output_names, result.multi_start
-    return {
-        "structure": result.structure,
-        "recordings": list(result.recordings),
-        "status": result.status,
-        "success": result.success,
-        "iterations": result.iterations,
-        "wall_time_s": result.wall_time_s,
-        "loss": result.loss,
-        "aic": finite_or_none(result.aic),
-        "fpe": finite_or_none(result.fpe),
-        "condition": finite_or_none(result.condition),
-        "trusted": result.trusted,
-        "whiteness": [
-            {"output": output, "p_value": finite_or_none(p)}
-            for output, p in zip(outputs, result.whiteness, strict=True)
-        ],
-        "multi_start": None if starts is None else {**asdict(starts), "spread": finite_or_none(starts.spread)},
-        "options": dict(vars(result.options)),
-        "parameters": parameter_rows(result, truth),
-        "modes": mode_rows(result, true_model),
-        "static_gain": gain_rows(result, true_model),
-        "profiles": profile_rows(result),
-        "fit_percent": [
-            {"recording": recording, "output": output, "fit_percent": float(percent)}
-            for recording, percents in zip(result.recordings, result.fit_percent, strict=True)
-            for output, percent in zip(outputs, percents, strict=True)
-        ],
-        "notes": list(result.notes),
-    }
 
 
 FIT = Stage("fit", "fits", (fits_can_be_made,), fit_tasks, early=True)

@@ -14,7 +14,7 @@ import scipy
 from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
 from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError
-from gbid.core.extras import Pictured
+from gbid.core.figures import Pictured
 from gbid.core.option_types import Count
 from gbid.core.tables import Column, Table
 from gbid.identify.data import Record, column_means, gather
@@ -300,6 +300,8 @@ class SubspaceOrders(Tabled, Pictured):
     errors: FloatArray
     std: FloatArray
     order: int
+
+    drawn_by = "plot_orders"
 
     def _brief(self) -> Description:
         return brief(self, f"order {self.order} of {len(self.errors)} that were tried", errors=self.errors)

@@ -42,6 +42,10 @@ class Tabled(Brief):
     def table(self) -> Table:
         """Return the numbers as a table."""
 
+    def tables(self) -> list[Table]:
+        """Return the table of the numbers."""
+        return [self.table()]
+
     def to_frame(self) -> Any:
         """Return the table as a data frame.
 
