@@ -14,10 +14,10 @@ from gain_problems import damping_problem
 import gbid
 from gbid.control import MaxDamping, PeakSensitivity, controller_model
 from gbid.control.tuning import problem as budget
-from gbid.control.tuning.local import optimise_locally
+from gbid.control.tuning.local import LocalOptions, optimise_locally
 from gbid.control.tuning.problem import Evaluations, GainProblem, Score
 from gbid.control.tuning.result import GainStatus
-from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, grid_starts, random_starts, search
+from gbid.control.tuning.search import GainSolution, SearchOptions, SearchTask, grid_starts, random_starts, search
 
 
 def loop_of(result: gbid.GainResult) -> gbid.LinearModel:
@@ -26,7 +26,7 @@ def loop_of(result: gbid.GainResult) -> gbid.LinearModel:
 
 def searched(
     problem: GainProblem, neutral: np.ndarray, first: tuple[np.ndarray, ...] = (), **options: Any
-) -> SearchOutcome:
+) -> GainSolution:
     return search(problem, SearchTask(neutral, first, SearchOptions(**options)))
 
 
@@ -157,8 +157,8 @@ def test_a_used_budget_ends_starts_and_local_searches() -> None:
     assert random_starts(spent, neutral, unit, 5, 0) == []
     assert len(grid_starts(problem, neutral, unit, 61, 5)) > 0
     assert grid_starts(spent, neutral, unit, 61, 5) == []
-    assert optimise_locally(problem, neutral, max_iterations=100).iterations > 2
-    assert optimise_locally(spent, neutral, max_iterations=100).iterations == 1
+    assert optimise_locally(problem, neutral, LocalOptions(iterations=100)).iterations > 2
+    assert optimise_locally(spent, neutral, LocalOptions(iterations=100)).iterations == 1
 
 
 def test_a_larger_budget_gives_no_worse_gains_and_an_early_end_stable_ones() -> None:

@@ -14,8 +14,8 @@ from gain_problems import DampedLoops
 import gbid
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
-from gbid.control.tuning.search import SearchTask
-from gbid.control.tuning.solve import TOLERANCE, GainSolution, add_worst_points, measure
+from gbid.control.tuning.search import GainSolution, SearchTask
+from gbid.control.tuning.solve import TOLERANCE, add_worst_points, measure
 from gbid.lpv import Domain
 
 MODEL = gbid.load_model("theisen2016")

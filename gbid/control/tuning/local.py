@@ -1,4 +1,4 @@
-"""Curvature of the functions that determine a step, for the next one."""
+"""Local search over gains: SQP steps on the active functions, with coalescence of eigenvalues and curvature."""
 
 from __future__ import annotations
 
@@ -272,59 +272,74 @@ class LocalOptimum:
 
 
 @dataclass(frozen=True)
-class MeritGoal:
-    """What an optimum must be to have a use: a local search that will hardly find such a one ends.
+class LocalOptions:
+    """Effort of a local search, what its optimum must be to have a use, and when it ends.
+
+    The last seven decide between time and certainty: `docs/benchmarks.md` has the designs of ten seeds and their times.
 
     Parameters
     ----------
-    merit : float
-        Merit that it must reach.
+    radius : float
+        Initial trust region, as a share of the width of the bounds.
+    iterations : int
+        Largest number of iterations.
+    plain : bool
+        Whether the curvature stays zero and no steps to coalescence are tried: a third of the time for a design near
+        the optimum.
+    repair : bool
+        Whether small violations of limits that are left are made smaller with a larger penalty.
+    penalty : float
+        Weight of the largest violation at the start; it rises with the multipliers of the limits.
+    target : float
+        Merit that the optimum must reach: a local search that will hardly reach it ends.
     pace : float
-        By what share of it a local search may be behind for each iteration that is left to reach it.
+        By what share of the target a local search may be behind for each iteration that is left to reach it.
     known : tuple of LocalOptimum
         Optima from which it must differ.
     near : float or (d,) array
         Distances of the gains from a known optimum within which a design of lower merit leads back to it.
+    judged : int
+        Number of iterations over which the rise of the merit is judged.
+    hope : float
+        By how many times its last rise a local search may still be expected to rise.
+    early, late : int
+        Iterations from which on a local search ends that is too far behind its target, and after which one ends that
+        has not reached it; those that reach it have reached it by then.
+    settled : float
+        Rise over the judged iterations below which a local search ends.
+    least_gain : float
+        Gain in merit, promised or reached, below which a step is in vain.
+    coalescence_loss : float
+        By how much the corrections of a move to coalescing eigenvalues may lower the objective.
     """
 
-    merit: float = -np.inf
+    radius: float = 0.1
+    iterations: int = 200
+    plain: bool = False
+    repair: bool = True
+    penalty: float = PENALTY
+    target: float = -np.inf
     pace: float = np.inf
     known: tuple[LocalOptimum, ...] = ()
     near: float | FloatArray = 0.0
+    judged: int = 10
+    hope: float = 10.0
+    early: int = 15
+    late: int = 30
+    settled: float = 1e-5
+    least_gain: float = 1e-9
+    coalescence_loss: float = 1e-3
 
     def known_at(self, x: FloatArray, reached: float) -> LocalOptimum | None:
         """Return the known optimum to which a design of some merit leads back; None where there is none."""
-        back = (one for one in self.known if reached <= merit(one.score) and (np.abs(x - one.x) <= self.near).all())
-        return next(back, None)
+        for optimum in self.known:
+            if reached <= merit(optimum.score) and (np.abs(x - optimum.x) <= self.near).all():
+                return optimum
+        return None
 
 
-_ANY = MeritGoal()
-_JUDGED = 10
-"""Number of iterations over which the rise of the merit is judged."""
-_HOPE = 10.0
-"""By how many times its last rise a local search may still be expected to rise."""
-_LATE, _EARLY = 30, 15
-"""Iterations after which a local search that has not reached its goal ends, and from which on one that is too far
-behind does; those that reach it have reached it by then."""
-_SETTLED = 1e-5
-"""Rise below which a local search ends."""
-_LEAST_GAIN = 1e-9
-"""Gain in merit, promised or reached, below which a step is in vain."""
-_MOVED = 1e-3
-"""By how much the corrections of a move to coalescing eigenvalues may raise the objective."""
-
-
-def optimise_locally(
-    problem: GainProblem,
-    start: FloatArray,
-    *,
-    radius: float = 0.1,
-    max_iterations: int = 200,
-    plain: bool = False,
-    goal: MeritGoal = _ANY,
-    repair: bool = True,
-) -> LocalOptimum:
-    r"""Return a local optimum.
+def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOptions = LocalOptions()) -> LocalOptimum:
+    r"""Return a local optimum by sequential quadratic programming.
 
     Each step solves, for the move d of the gains within a trust region,
 
@@ -342,51 +357,22 @@ def optimise_locally(
         The design problem.
     start : (d,) array
         Start value of the gains.
-    radius : float
-        Initial trust region, as a share of the width of the bounds.
-    max_iterations : int
-        Largest number of iterations.
-    plain : bool
-        Whether H stays zero and no steps to coalescence are tried: a third of the time for a design near the optimum.
-    goal : MeritGoal
-        What the optimum must be to have a use.
-    repair : bool
-        Whether small violations of limits that are left are made smaller with a larger penalty.
+    options : LocalOptions
+        Effort and target.
 
     Returns
     -------
     LocalOptimum
     """
-    x = np.clip(start, problem.lower, problem.upper)
-    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, PENALTY)
-    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > goal.merit:
-        optimum = repaired(problem, optimum, plain, goal)
-    return optimum
-
-
-def repaired(problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: MeritGoal = _ANY) -> LocalOptimum:
-    """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
-    again = _sqp(problem, design.x, 1e-3, 40, plain, goal, 1e3 * PENALTY)
-    return replace(again, iterations=design.iterations + again.iterations)
-
-
-def _sqp(
-    problem: GainProblem,
-    x: FloatArray,
-    radius: float,
-    max_iterations: int,
-    plain: bool,
-    goal: MeritGoal,
-    penalty: float,
-) -> LocalOptimum:
-    width = problem.upper - problem.lower
+    x, width = np.clip(start, problem.lower, problem.upper), problem.upper - problem.lower
     H = np.zeros((len(x), len(x)))
     functions = problem.functions(x)
     groups: list[tuple[Meeting, ...]] | None = None
+    known, converged, radius, penalty = None, False, options.radius, options.penalty
     stalled, before = 0, merit(functions.score)
-    for iteration in range(1, max_iterations + 1):
+    for iteration in range(1, options.iterations + 1):
         if not functions.score.usable or problem.evaluations.exhausted:
-            return LocalOptimum(x, functions.score, iteration, False)
+            break
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
         # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
@@ -396,7 +382,7 @@ def _sqp(
             penalty = max(penalty, 2.0 * first.limit_weight if first.keeps_limits else 0.0)
             improvement = merit(problem.score(x + first.move, floor), penalty) - floor
         steps: list[RidgeStep] = []
-        if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= _LEAST_GAIN):
+        if not options.plain and (first is None or improvement < 0.5 * first.gain or first.gain <= options.least_gain):
             groups = meetings(problem, x, functions) if groups is None else groups
             # steps at whose ends eigenvalues nearly meet, the most promising first
             possible = [ridge_step(functions, group, H, width, box, penalty) for group in groups]
@@ -405,40 +391,55 @@ def _sqp(
             penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
             if step.gain <= improvement:
                 continue
-            move = back_to_meeting(problem, x, step.move, step.group, floor + max(improvement, 0.0) - _MOVED)
+            least = floor + max(improvement, 0.0) - options.coalescence_loss
+            move = back_to_meeting(problem, x, step.move, step.group, least)
             if move is None:
                 continue
             gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor
             if gained > improvement:
                 best, improvement = replace(step, move=move), gained
-        if first is not None and max([first.gain, *(step.gain for step in steps)]) <= _LEAST_GAIN:
-            return LocalOptimum(x, functions.score, iteration, True)
+        if first is not None and max([first.gain, *(step.gain for step in steps)]) <= options.least_gain:
+            converged = True
+            break
         # a step to coalescence may promise a loss, but it is accepted only when it improves the merit
         promised = np.inf if best is None else max(best.gain, 0.0)
         good = improvement > 0.05 * promised
         if best is not None and (good or improvement > 1e-7):
             x = np.clip(x + best.move, problem.lower, problem.upper)
             functions, groups = problem.functions(x), None
-            if not plain:
+            if not options.plain:
                 H = _curvature(problem, x, best, functions.states)
         if improvement > 0.5 * promised:
             radius = min(2 * radius, 0.5)
         elif not good:
             radius *= 0.35
-        stalled = stalled + 1 if improvement < _LEAST_GAIN else 0
+        stalled = stalled + 1 if improvement < options.least_gain else 0
         if radius < 1e-9 or stalled > 12:
-            return LocalOptimum(x, functions.score, iteration, True)
+            converged = True
+            break
         reached = merit(functions.score)
-        if good and (back := goal.known_at(x, reached)) is not None:
-            return back
-        if iteration % 5 == 0 and iteration >= _EARLY and goal.merit > -np.inf:
-            left = max(_LATE - iteration, 0)
-            if reached < goal.merit - (goal.pace * left * abs(goal.merit) if left else 0.0):
-                return LocalOptimum(x, functions.score, iteration, False)
-        if iteration % _JUDGED == 0:
+        known = options.known_at(x, reached) if good else None
+        if known is not None:
+            break
+        if iteration % 5 == 0 and iteration >= options.early and options.target > -np.inf:
+            left = max(options.late - iteration, 0)
+            if reached < options.target - (options.pace * left * abs(options.target) if left else 0.0):
+                break
+        if iteration % options.judged == 0:
             rise, before = max(reached - before, 0.0), reached
-            if reached + _HOPE * rise < goal.merit:
-                return LocalOptimum(x, functions.score, iteration, False)
-            if rise < _SETTLED and (iteration >= _LATE or reached > goal.merit > -np.inf):
-                return LocalOptimum(x, functions.score, iteration, True)
-    return LocalOptimum(x, functions.score, max_iterations, False)
+            if reached + options.hope * rise < options.target:
+                break
+            if rise < options.settled and (iteration >= options.late or reached > options.target > -np.inf):
+                converged = True
+                break
+    optimum = known or LocalOptimum(x, functions.score, iteration, converged)
+    if options.repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > options.target:
+        optimum = repaired(problem, optimum, options)
+    return optimum
+
+
+def repaired(problem: GainProblem, design: LocalOptimum, options: LocalOptions = LocalOptions()) -> LocalOptimum:
+    """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
+    near = replace(options, radius=1e-3, iterations=40, penalty=1e3 * PENALTY, repair=False)
+    again = optimise_locally(problem, design.x, near)
+    return replace(again, iterations=design.iterations + again.iterations)

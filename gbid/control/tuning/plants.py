@@ -26,7 +26,9 @@ from gbid.control.tuning.loops import (
     PlantMatrices,
     WholePlants,
 )
+from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
+from gbid.control.tuning.search import typical_rate
 from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
@@ -266,6 +268,10 @@ class TuneOptions(DesignOptions):
 # ---- Plants of a design: loops at any of their points, and the points with which a search starts.
 
 
+FEW_LOOPS = 5
+"""Largest number of loops that are designed for at once, with many gains."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plants(ABC):
     """Plants with one controller structure, whose loops have common gains.
@@ -310,6 +316,22 @@ class Plants(ABC):
         plants = PlantMatrices.stacked([self._known[row] for row in map(tuple, rows)]).in_plane(T)
         law = replace(self._law, held_s=T if self.sampling.method == "zoh" else None)
         return ControlLoops(names, where, n_p, T, plants=plants, law=law, companion=continuous)
+
+    def problem(
+        self,
+        limits: Limits,
+        lower: FloatArray,
+        upper: FloatArray,
+        middle: FloatArray,
+        budget: Evaluations,
+        few: bool = False,
+    ) -> GainProblem:
+        """Design problem of the loops at the points; of many loops only those with which a search starts, if `few`."""
+        families = (self.family(self.points),)
+        scale, linear = typical_rate(families, middle), self.gain_limits(self.points, lower, upper)
+        if few and len(families[0]) > FEW_LOOPS:
+            families = (self.family(self.points, self.first(self.points)),)
+        return GainProblem(families, limits, lower, upper, scale, linear, evaluations=budget)
 
     @cached_property
     def _law(self) -> ControllerLaw:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from time import monotonic
 from typing import Annotated, NamedTuple
@@ -379,7 +379,7 @@ class GainProblem:
         if some is not None:
             every = [loops.of(own) for loops, own in zip(every, some, strict=True)]
         # eigenvectors with the eigenvalues take hardly longer than the eigenvalues alone
-        systems = [Eigensystem.of(loops.A) for loops in every] if self.uses_responses else None
+        systems = [Eigensystem.of(loops.A) for loops in every] if self.uses_responses else []
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             values = true_rates(systems[f].values if systems else eigenvalues(loops.A), family.sample_time)
             if np.isnan(values).any():
@@ -395,7 +395,6 @@ class GainProblem:
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
         if self.limits.measures and some is None:
-            assert systems is not None
             states = [self.state(*args) for args in zip(self.families, every, [x] * len(every), systems, strict=True)]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
             value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
@@ -585,47 +584,37 @@ class GainProblem:
         rows = [-self.aim(rates, family.sample_time).min(axis=1), (self.slowest + rates.real).max(axis=1) / self.scale]
         state = self.state(family, loops, x, system)
         rows[0] = np.max([rows[0], *(soft.excess(state) for soft in self.limits.soft)], axis=0)
-        if self.limits.has_responses and family.n_outputs:
-            for _, peaks, limit in self._peaks(family, loops, system, []):
-                highest = np.zeros(len(family))
-                np.maximum.at(highest, peaks.loop, peaks.value)
-                rows.append(np.log(highest / limit))
+        for _, _, peaks, limit in replace(self, families=(family,), cuts=())._responses([loops], [system]):
+            highest = np.zeros(len(family))
+            np.maximum.at(highest, peaks.loop, peaks.value)
+            rows.append(np.log(highest / limit))
         rows += [extra.excess(state) for extra in self.limits.extra]
         return np.array(rows)
 
     def _responses(
-        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None, room: float = np.inf
+        self, every: Sequence[Loops], systems: Sequence[Eigensystem], room: float = np.inf
     ) -> list[tuple[str, int, Peaks, float]]:
-        """Return the peaks of all limited responses; those lower than their limit by `room`, as log, may be missing."""
-        limited: list[tuple[str, int, Peaks, float]] = []
-        if not self.limits.has_responses:
-            return limited
-        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
-            if family.n_outputs:
-                system = Eigensystem.of(loops.A) if systems is None else systems[f]
-                cuts = [cut for cut in self.cuts if cut.family == f and len(loops.A) == len(family)]
-                peaks_of_family = self._peaks(family, loops, system, cuts, room)
-                limited += [(kind, f, peaks, limit) for kind, peaks, limit in peaks_of_family]
-        return limited
+        """Return the peaks of all limited responses: kind, family, peaks, limit.
 
-    def _peaks(
-        self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: Sequence[Cut], room: float = np.inf
-    ) -> list[tuple[str, Peaks, float]]:
-        """Return the peaks of all limited responses of one family: kind, peaks, limit."""
-        limited = []
-        for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
-            if limit is not None:
-                of_kind = [cut for cut in cuts if cut.kind == kind]
-                places = np.array([c.loop for c in of_kind], int), np.array([c.frequency for c in of_kind])
-                extra = places if of_kind else None
-                peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
-                limited.append((kind, peaks, limit))
-        if self.limits.static_amplification is not None:
-            rest = np.zeros((len(loops.A), 1))
-            response = ModalResponse(loops, system, rows_of(family, "static"))(rest)
-            heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
-            peaks = Peaks(np.arange(len(rest)), rest[:, 0], heights)
-            limited.append(("static", peaks, self.limits.static_amplification))
+        Those lower than their limit by `room`, as log, may be missing.
+        """
+        limits, limited = self.limits, []
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
+            if not (limits.has_responses and family.n_outputs):
+                continue
+            for kind, limit in (("sensitivity", limits.peak_sensitivity), ("control", limits.peak_control)):
+                if limit is None:
+                    continue
+                cuts = [c for c in self.cuts if (c.family, c.kind) == (f, kind) and len(loops.A) == len(family)]
+                extra = (np.array([c.loop for c in cuts]), np.array([c.frequency for c in cuts])) if cuts else None
+                least = limit * float(np.exp(-room))
+                peaks = find_peaks(loops, systems[f], rows_of(family, kind), extra, least=least)
+                limited.append((kind, f, peaks, limit))
+            if (limit := limits.static_amplification) is not None:
+                rest = np.zeros((len(loops.A), 1))
+                response = ModalResponse(loops, systems[f], rows_of(family, "static"))(rest)
+                heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
+                limited.append(("static", f, Peaks(np.arange(len(rest)), rest[:, 0], heights), limit))
         return limited
 
 

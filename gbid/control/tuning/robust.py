@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import (
     LpvPlants,
     PlantLike,
-    Plants,
     PlantsLike,
     TuneOptions,
     Uncertainty,
@@ -102,33 +101,6 @@ def lower_bound(share: float, n: int, confidence: float) -> float:
     """Return the lower confidence bound of a probability from the share of n trials (Clopper and Pearson 1934)."""
     k = round(share * n)
     return float(scipy.special.betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
-
-
-def on_draws(problem: GainProblem, plants: Plants, x: FloatArray, n: int) -> PlantDraws:
-    """Return the performance of gains on n drawn plants, without the nominal one.
-
-    Parameters
-    ----------
-    problem : GainProblem
-        Objective and limits.
-    plants : Plants
-        Plants with n draws: m loops of the nominal plant, then m of each draw.
-    x : (d,) array
-        Gains.
-    n : int
-        Number of draws.
-    """
-    points = plants.points
-    m = len(plants.scenarios(points)[0]) // (n + 1)
-    each = max(1, _BLOCK // m)
-    values, violations = [], []
-    for first in range(1, n + 1, each):
-        many = min(each, n + 1 - first)
-        rows = problem.by_loop(plants.family(points, range(m * first, m * (first + many))), x)
-        by_plant = rows.reshape(len(rows), many, m).max(axis=2)
-        values.append([problem.in_units(float(v)) for v in -by_plant[0]])
-        violations.append(by_plant[1:].max(axis=0))
-    return PlantDraws(np.concatenate(values), np.concatenate(violations))
 
 
 # ---- Robust design: the damping that holds with a stated probability, verified on fresh draws.
@@ -253,17 +225,29 @@ def tune_robust(
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     if isinstance(model, LPVFit | LPVModel):
         machine, known = _plant_and_uncertainty(model, given)
-        trial: _Trial = _SurfaceTrial(with_schedule(structure, machine.domain), given, machine, known)
+        structure, drawn = with_schedule(structure, machine.domain), partial(_drawn_surfaces, machine, known)
     else:
-        trial = _FitTrial(structure, given, tuple(model) if isinstance(model, Sequence) else (model,))
-        if all(isinstance(each, LinearModel) for each in trial.fits):
+        fits = tuple(model) if isinstance(model, Sequence) else (model,)
+        if all(isinstance(each, LinearModel) for each in fits):
             raise UsageError("tune_robust: linear models alone have no uncertainty; give the fits that they come from")
+        drawn = partial(_drawn_fits, fits)
+
+    def design(chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
+        starts = 1 if chosen and given.starts is None else given.starts
+        options = replace(given, start=start, starts=starts, seed=0)
+        plants, options = drawn(options, draws, given.seed, chosen)
+        return tuned(plants, structure, options, given.progress)
+
+    def tried(n: int, seed: int, result: GainResult) -> PlantDraws:
+        plants, options = drawn(given, n, seed, None)
+        return on_draws(plants, structure, options, result.gains, n)
+
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
-    result = trial.design((), given.start)
+    result = design((), given.start)
     for _ in range(given.rounds):
-        seen = trial.on(draws, given.seed, result.gains)
+        seen = tried(draws, given.seed, result)
         failing = _shortfall(seen, result.value)
         if float((failing > 0).mean()) <= 1 - target or not result.keeps_limits:
             break
@@ -271,9 +255,8 @@ def tune_robust(
         if int(edge) in chosen:
             break
         chosen = (*chosen, int(edge))
-        result = trial.design(chosen, dict(result.gains))
-    seen = trial.on(draws, given.seed, result.gains)
-    others = trial.on(fresh, given.seed + _FRESH_SEED, result.gains)
+        result = design(chosen, dict(result.gains))
+    seen, others = tried(draws, given.seed, result), tried(fresh, given.seed + _FRESH_SEED, result)
     return RobustDesign(
         result,
         probability,
@@ -286,66 +269,72 @@ def tune_robust(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial(ABC):
-    """Designs and trials of one structure and set of options."""
-
-    structure: Structure | Scheduled
-    options: RobustOptions
-
-    @abstractmethod
-    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
-        """Return the nominal plant with the chosen ones of n draws of a seed, or with all n, and options for them."""
-
-    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
-        """Design for the nominal plant and chosen draws."""
-        given = self.options
-        model, more = self._drawn(given.draws, given.seed, chosen)
-        starts = 1 if chosen and given.starts is None else given.starts
-        options = replace(given, start=start, starts=starts, seed=0, **more)
-        return tuned(model, self.structure, options, given.progress)
-
-    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
-        """Return the performance of gains on n plants drawn with a seed."""
-        model, more = self._drawn(n, seed, None)
-        speeds = more.get("speeds_rpm")
-        over = Domain((0.0, 0.0), (min(speeds), max(speeds))) if speeds else None
-        plants = plants_of(model, with_schedule(self.structure, over), replace(self.options, **more))
-        m = len(plants.scenarios(plants.points)[0]) // (n + 1)  # the drawn plants follow the nominal one
-        x = np.array([gains[p.name] for p in plants.structure.parameters])
-        nominal = plants.family(plants.points, range(m))
-        machine = plants.lpv.machine if isinstance(plants, LpvPlants) else None
-        limits = limits_of(self.options.goals or (), plants.plant, machine)
-        low, high = (np.array([getattr(p, side) for p in plants.structure.parameters]) for side in ("lower", "upper"))
-        problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
-        return on_draws(problem, plants, x, n)
+_Drawn = tuple[PlantsLike, RobustOptions]
+"""The nominal plant with drawn ones, and the options that belong to them."""
 
 
-@dataclass(frozen=True, eq=False)
-class _SurfaceTrial(_Trial):
-    """Trial of an LPV model with drawn surfaces."""
-
-    lpv: LPVModel
-    known: Uncertainty
-
-    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
-        drawn = replace(self.known, draws=n, seed=seed, chosen=None if chosen is None else tuple(chosen))
-        return self.lpv, {"uncertainty": None if chosen == () else drawn}
+def _drawn_surfaces(
+    lpv: LPVModel, known: Uncertainty, options: RobustOptions, n: int, seed: int, chosen: tuple[int, ...] | None
+) -> _Drawn:
+    """Return a model with the chosen ones of n draws of its surfaces, or with all n."""
+    drawn = None if chosen == () else replace(known, draws=n, seed=seed, chosen=chosen)
+    return lpv, replace(options, uncertainty=drawn)
 
 
-@dataclass(frozen=True, eq=False)
-class _FitTrial(_Trial):
-    """Trial of fits, with models drawn from the covariance of their parameters."""
+def _drawn_fits(
+    fits: tuple[PlantLike, ...], options: RobustOptions, n: int, seed: int, chosen: tuple[int, ...] | None
+) -> _Drawn:
+    """Return fits with the models of the chosen ones of n draws of their parameters, or of all n."""
+    rng = np.random.default_rng(seed)
+    every = [drawn_models(fit, n, rng) for fit in fits]
+    taken = range(n) if chosen is None else chosen
+    models = [*fits, *(draws[i] for i in taken for draws in every)]
+    speeds = options.speeds_rpm
+    return models, replace(options, speeds_rpm=None if speeds is None else [*speeds] * (1 + len(taken)))
 
-    fits: tuple[PlantLike, ...]
 
-    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
-        rng = np.random.default_rng(seed)
-        every = [drawn_models(fit, n, rng) for fit in self.fits]
-        taken = range(n) if chosen is None else chosen
-        models = [*self.fits, *(draws[i] for i in taken for draws in every)]
-        speeds = self.options.speeds_rpm
-        return models, {"speeds_rpm": None if speeds is None else [*speeds] * (1 + len(taken))}
+def on_draws(
+    model: PlantsLike,
+    structure: Structure | Scheduled,
+    options: RobustOptions,
+    gains: Mapping[str, float],
+    n: int,
+) -> PlantDraws:
+    """Return the performance of gains on n drawn plants, without the nominal one.
+
+    Parameters
+    ----------
+    model : plant with its draws, or list of models
+        The m loops of the nominal plant come first, then m of each draw.
+    structure : Structure or Scheduled
+        The controller.
+    options : RobustOptions
+        Goals and points.
+    gains : dict of str to float
+        Gains by name.
+    n : int
+        Number of draws.
+    """
+    speeds = options.speeds_rpm
+    over = Domain((0.0, 0.0), (min(speeds), max(speeds))) if speeds else None
+    plants = plants_of(model, with_schedule(structure, over), options)
+    points, parameters = plants.points, plants.structure.parameters
+    m = len(plants.scenarios(points)[0]) // (n + 1)
+    x = np.array([gains[p.name] for p in parameters])
+    nominal = (plants.family(points, range(m)),)
+    machine = plants.lpv.machine if isinstance(plants, LpvPlants) else None
+    limits = limits_of(options.goals or (), plants.plant, machine)
+    low, high = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
+    problem = GainProblem(nominal, limits, low, high, typical_rate(nominal, x))
+    each = max(1, _BLOCK // m)
+    values, violations = [], []
+    for first in range(1, n + 1, each):
+        many = min(each, n + 1 - first)
+        rows = problem.by_loop(plants.family(points, range(m * first, m * (first + many))), x)
+        by_plant = rows.reshape(len(rows), many, m).max(axis=2)
+        values.append([problem.in_units(float(v)) for v in -by_plant[0]])
+        violations.append(by_plant[1:].max(axis=0))
+    return PlantDraws(np.concatenate(values), np.concatenate(violations))
 
 
 def drawn_models(fit: PlantLike, n: int, rng: np.random.Generator) -> list[LinearModel]:

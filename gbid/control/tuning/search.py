@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.local import LocalOptimum, MeritGoal, optimise_locally
+from gbid.control.tuning.local import LocalOptimum, LocalOptions, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
@@ -189,50 +189,42 @@ class LocalSearch:
         limited = limits.has_responses or limits.measures or self.problem.linear
         return len(self.unit) not in GRID and not limited
 
-    def short(self, start: FloatArray, goal: float, again: bool = False) -> LocalOptimum:
-        """Return a better design near a start by few evaluations, fewer where a goal is out of reach.
+    def short(self, start: FloatArray, target: float, again: bool = False) -> LocalOptimum:
+        """Return a better design near a start by few evaluations, fewer where a target is out of reach.
 
         It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
         """
         if self.free:
             return self.full(start)
-        radius, few, to_reach = 0.02 if again else 0.1, self.options.short, MeritGoal(goal, self.options.pace)
-        end = optimise_locally(
-            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=to_reach, repair=False
-        )
-        return self._stable_one(start, end)
+        effort = LocalOptions(0.02 if again else 0.1, self.options.short, not again, repair=False)
+        return self._stable_end(start, start, replace(effort, target=target, pace=self.options.pace))
 
-    def full(self, start: FloatArray, goal: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
-        """Return a local optimum, or a known one if it leads back to that; less good where it misses a goal."""
-        # eigenvalues that have met move along a curved surface: that takes more iterations, and no goal tells how many
-        iterations = 2 * self.options.full if self.free else self.options.full
-        end = optimise_locally(self.problem, start, max_iterations=iterations, goal=self._goal(goal, known))
-        return self._stable_one(start, end)
-
-    def _goal(self, reached: float, known: tuple[LocalOptimum, ...]) -> MeritGoal:
-        """Return the goal of a local search beside known optima; none where eigenvalues that have met creep."""
-        return (
-            MeritGoal()
-            if self.free
-            else MeritGoal(reached, self.options.pace, known, self.options.neighbours * self.unit)
-        )
-
-    def _stable_one(self, start: FloatArray, end: LocalOptimum) -> LocalOptimum:
-        """Return the end of a local search; its start where it went from stable loops to unstable ones.
-
-        The violation of an unstable loop is that of its slowest pole, and may be smaller than that of a peak.
-        """
-        if end.score.violation <= FEASIBLE or self.problem.stable(end.x) or not self.problem.stable(start):
-            return end
-        return LocalOptimum(start, self.problem.score(start), end.iterations, False)
+    def full(self, start: FloatArray, target: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
+        """Return a local optimum, or a known one if it leads back to that; less good where it misses a target."""
+        if self.free:  # eigenvalues that have met creep along a curved surface; no target tells how far
+            return self._stable_end(start, start, LocalOptions(iterations=2 * self.options.full))
+        effort = LocalOptions(iterations=self.options.full, target=target, pace=self.options.pace, known=known)
+        return self._stable_end(start, start, replace(effort, near=self.options.neighbours * self.unit))
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
         width = np.maximum(self.unit, np.abs(best.x)) if self.free else self.problem.upper - self.problem.lower
-        x, radius = best.x + size * rng.standard_normal(len(best.x)) * width, self.options.hop_radius
-        goal = self._goal(rank(best), (best,))
-        end = optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=goal)
-        return self._stable_one(best.x, end)
+        start = best.x + size * rng.standard_normal(len(best.x)) * width
+        effort = LocalOptions(self.options.hop_radius, 60)
+        if not self.free:
+            near = self.options.neighbours * self.unit
+            effort = replace(effort, target=rank(best), pace=self.options.pace, known=(best,), near=near)
+        return self._stable_end(start, best.x, effort)
+
+    def _stable_end(self, start: FloatArray, stable: FloatArray, effort: LocalOptions) -> LocalOptimum:
+        """Return the end of a local search; a design with stable loops in place of one with unstable ones.
+
+        The violation of an unstable loop is that of its slowest pole, and may be smaller than that of a peak.
+        """
+        end = optimise_locally(self.problem, start, effort)
+        if end.score.violation <= FEASIBLE or self.problem.stable(end.x) or not self.problem.stable(stable):
+            return end
+        return LocalOptimum(stable, self.problem.score(stable), end.iterations, False)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
         """Return a certified design by local searches with short steps from one without, or else the best of them.
@@ -247,7 +239,7 @@ class LocalSearch:
             for radius in self.options.certifying_radii:
                 if self.problem.evaluations.exhausted or self.certified(best):
                     return best
-                again = optimise_locally(self.problem, start, max_iterations=60, radius=radius)
+                again = optimise_locally(self.problem, start, LocalOptions(radius, 60))
                 best = again if better(again.score, best.score) else best
         return best
 
@@ -620,15 +612,46 @@ def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:
 
 
 @dataclass(frozen=True)
-class SearchOutcome:
-    """Best design of a search, its history, and the different designs with which it ended."""
+class GainSolution:
+    """Best design of a problem, with the problem as it was at the end (its cuts), and the history.
 
+    Of a search also the different designs with which it ended.
+    """
+
+    problem: GainProblem
     best: LocalOptimum
-    history: tuple[SearchStep, ...]
-    ends: tuple[LocalOptimum, ...]
+    history: tuple[SearchStep, ...] = ()
+    ends: tuple[LocalOptimum, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether all loops are stable."""
+        return self.problem.stable(self.best.x)
+
+    @property
+    def certified(self) -> bool:
+        """Whether the best design is a certified local optimum."""
+        return self.best.certificate is not None and self.best.certificate.holds
+
+    @property
+    def reached(self) -> float:
+        """Value of a design that keeps its limits; NaN for another one."""
+        return self.best.score.value if self.stable and self.best.score.violation <= FEASIBLE else np.nan
+
+    @property
+    def order(self) -> tuple[bool, bool, float]:
+        """Ranking of the solutions of one problem: stability, limits, merit."""
+        return self.stable, self.best.score.violation <= FEASIBLE, rank(self.best)
+
+    def noted(self, stage: str, progress: Progress | None) -> GainSolution:
+        """Return this solution with one more step of its history, of which `progress` is told, too."""
+        step = self.problem.step(stage, self.best.score)
+        if progress is not None:
+            progress(step)
+        return replace(self, history=(*self.history, step))
 
 
-def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
+def search(problem: GainProblem, task: SearchTask) -> GainSolution:
     """Return the best design within the bounds.
 
     The starts (the best points of a grid for up to three gains, else evenly spread ones, and those that are given) go
@@ -639,6 +662,9 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     history: list[SearchStep] = []
     top = LocalOptimum(np.asarray(task.neutral), Score(-np.inf, np.inf), 0, False)
 
+    def by_stability(design: LocalOptimum) -> tuple[bool, float]:
+        return problem.stable(design.x), rank(design)
+
     def note(stage: str, design: LocalOptimum) -> None:
         nonlocal top
         top = best_of([top, design])
@@ -646,16 +672,15 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         if task.progress is not None:
             task.progress(history[-1])
 
-    def order(one: LocalOptimum) -> tuple[bool, float]:
-        return problem.stable(one.x), rank(one)
-
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (task.neutral, *task.first)]
     local = LocalSearch(problem, gain_units(problem, given[0]), options)
     gridded = on_grid(d, options)
     if gridded:
         starts = grid_starts(problem, given[0], local.unit, GRID[d], options.nodes)
     else:
-        starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
+        by_default = (24 if d <= 12 else 12) if local.free else (16 if d <= 8 else 8)
+        n_starts = by_default if options.starts is None else options.starts
+        starts = random_starts(problem, given[0], local.unit, n_starts, options.seed)
     many = not (gridded or local.free) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for i, start in enumerate((*given, *starts)):
@@ -669,14 +694,14 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
             break
         designs[i] = local.short(design.x, max(map(rank, designs[:i]), default=-np.inf))
         note("global", designs[i])
-    designs.sort(key=order, reverse=True)
+    designs.sort(key=by_stability, reverse=True)
     if many:
         better_ones, designs = designs[: -(-2 * len(designs) // 3)], []
         for one in better_ones:
             if not problem.evaluations.over:
                 one = local.short(one.x, max(map(rank, designs), default=rank(one)), again=True)
             designs.append(one)
-        designs.sort(key=order, reverse=True)
+        designs.sort(key=by_stability, reverse=True)
         note("global", designs[0])
     finals: list[LocalOptimum] = []
     same = options.neighbours * (problem.upper - problem.lower)
@@ -702,13 +727,4 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     if not options.sketch and not problem.evaluations.exhausted:
         best = local.with_certificate(best)
         note("local", best)
-    return SearchOutcome(best, tuple(history), tuple(ends))
-
-
-def _n_starts(local: LocalSearch) -> int:
-    """Return the number of random starts."""
-    if local.options.starts is not None:
-        return local.options.starts
-    if local.free:
-        return 24 if len(local.unit) <= 12 else 12
-    return 16 if len(local.unit) <= 8 else 8
+    return GainSolution(problem, best, tuple(history), tuple(ends))

@@ -1,9 +1,10 @@
-"""Solution of a design problem: search, peaks between the grid frequencies, certificate."""
+"""Solution of a design problem: search, checks of its design, exchange of loops, independent searches, summary."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -11,15 +12,16 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.tuning.certificate import Certificate, certify
+from gbid.control.tuning.certificate import certify
 from gbid.control.tuning.design_options import Objective
-from gbid.control.tuning.local import LocalOptimum, optimise_locally, repaired
+from gbid.control.tuning.local import LocalOptimum, LocalOptions, optimise_locally, repaired
 from gbid.control.tuning.loops import families_of
-from gbid.control.tuning.plants import Plants
-from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits, SearchStep
+from gbid.control.tuning.plants import FEW_LOOPS, Plants
+from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits
 from gbid.control.tuning.result import (
     GainResult,
     GainStatus,
+    GoalFigure,
     WorstMode,
     exact_norms,
     largest_norm,
@@ -28,16 +30,15 @@ from gbid.control.tuning.result import (
 )
 from gbid.control.tuning.search import (
     LEAST_REACH,
+    GainSolution,
     Progress,
     SearchOptions,
-    SearchOutcome,
     SearchTask,
     best_of,
     better,
     certificate_units,
     gain_units,
     on_grid,
-    rank,
     reach_of_bounds,
     search,
     typical_rate,
@@ -63,41 +64,14 @@ _CERTIFICATES = 3
 """Largest number of certificates, each after a better design that the one before had found."""
 
 
-@dataclass(frozen=True)
-class GainSolution:
-    """Best design of a problem, with the problem as it was at the end (its cuts), and the history."""
-
-    problem: GainProblem
-    best: LocalOptimum
-    history: tuple[SearchStep, ...] = ()
-
-    @property
-    def stable(self) -> bool:
-        """Whether all loops are stable."""
-        return self.problem.stable(self.best.x)
-
-    @property
-    def certified(self) -> bool:
-        """Whether the best design is a certified local optimum."""
-        return self.best.certificate is not None and self.best.certificate.holds
-
-    def noted(self, stage: str, progress: Progress | None) -> GainSolution:
-        """Return this solution with one more step of its history, which is told, too."""
-        step = self.problem.step(stage, self.best.score)
-        if progress is not None:
-            progress(step)
-        return replace(self, history=(*self.history, step))
-
-
 def solve(problem: GainProblem, task: SearchTask) -> GainSolution:
     """Return the best design of a search, with exact peaks and certificate."""
-    outcome = search(problem, task)
-    return _verified(GainSolution(problem, outcome.best, outcome.history), task)
+    return _verified(search(problem, task), task)
 
 
 def _improve(problem: GainProblem, known: GainSolution, task: SearchTask) -> GainSolution:
     """Return a local optimum near the design of a similar problem, with exact peaks and certificate."""
-    best = optimise_locally(problem, known.best.x, max_iterations=300, radius=0.02)
+    best = optimise_locally(problem, known.best.x, LocalOptions(0.02, 300))
     return _verified(GainSolution(problem, best, known.history), task)
 
 
@@ -115,7 +89,7 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
         if spent:
             best = replace(repaired(_with_reserve(problem), best), converged=False)
         else:
-            best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
+            best = optimise_locally(problem, best.x, LocalOptions(0.02))
         solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
     problem, best = solution.problem, solution.best
     if not checks.over:
@@ -141,7 +115,7 @@ def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOpti
         return design
     checks = problem.evaluations.of_checks(_PLATEAU)
     decay = replace(problem, limits=replace(limits, objective="decay"), evaluations=checks)
-    fast = optimise_locally(decay, design.x, max_iterations=60)
+    fast = optimise_locally(decay, design.x, LocalOptions(iterations=60))
     for share in (1.0, 0.999, 0.99, 0.95, 0.8, 0.5):
         x = design.x + share * (fast.x - design.x)
         score = problem.score(x)
@@ -162,7 +136,7 @@ def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTa
     safe = search(plain, replace(task, first=(unstable.x,), progress=None)).best.x
     if not problem.stable(safe):
         return unstable
-    near = optimise_locally(problem, safe, max_iterations=100, radius=0.02).x
+    near = optimise_locally(problem, safe, LocalOptions(0.02, 100)).x
     way = [safe + share * (unstable.x - safe) for share in np.linspace(0.0, 1.0, 40, endpoint=False)]
     stable = [
         replace(unstable, x=x, score=problem.score(x), certificate=None) for x in [*way, near] if problem.stable(x)
@@ -177,7 +151,7 @@ def _certified(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
         certificate, x = certify(problem, design.x, certificate_units(unit, design.x))
         if certificate.holds or x is design.x or problem.evaluations.exhausted:
             break
-        nearby = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
+        nearby = optimise_locally(problem, x, LocalOptions(1e-3, 60))
         if not better(nearby.score, design.score) or with_cuts(problem, nearby.x) is not problem:
             break
         design = nearby
@@ -209,8 +183,8 @@ def with_cuts(problem: GainProblem, x: FloatArray) -> GainProblem:
 
 # ---- Exchange of loops: design for some of them, find those in which the design is worse, add them, design again.
 
-_FEW, _MANY = 5, 30
-"""Largest number of loops that are designed for at once: with many gains, and with up to three."""
+_MANY_LOOPS = 30
+"""Largest number of loops that are designed for at once, with up to three gains."""
 TOLERANCE = 5e-5
 """By how much a design may be worse at a point of the rectangle than at its own points."""
 _GRID = 33
@@ -219,70 +193,31 @@ _ROUNDS = 20
 """Largest number of rounds in which worst points are added."""
 
 
-def _exchange(
-    solution: GainSolution,
-    extended: Callable[[GainSolution], GainProblem | None],
-    design: Callable[[GainProblem, GainSolution], GainSolution],
-    rounds: int | None = None,
-) -> GainSolution:
-    """Return a design that is no worse in any other loop; without an optimum after a number of rounds.
+def solve_over_points(problem: GainProblem, plants: Plants, task: SearchTask) -> GainSolution:
+    """Return the best design over all loops of the plants at their points; of many loops, some are designed for first.
 
-    A design that is optimal for some loops and not worse in the others is optimal for all.
-
-    Parameters
-    ----------
-    solution : GainSolution
-        Design for some loops.
-    extended : callable
-        From a design to the problem with the loops in which it is worse; None when there are none.
-    design : callable
-        From this problem and the design before to the next one.
-    rounds : int, optional
-        Largest number of rounds.
+    A design that is optimal for some loops and no worse in the others is optimal for all. With few gains every round is
+    a search, with many gains a local optimisation from the last design.
     """
-    for i in count():
-        problem = extended(solution)
-        if problem is None:
-            return solution
-        if i == rounds:
-            break
-        solution = design(problem, solution)
-    return replace(solution, best=replace(solution.best, converged=False))
-
-
-def solve_over_points(problem: GainProblem, plants: Plants, points: FloatArray, task: SearchTask) -> GainSolution:
-    """Return the best design over all loops of the plants at the points; of many loops, some are designed for first.
-
-    With few gains every round is a search, with many gains a local optimisation from the last design.
-    """
-    few_gains, every = len(task.neutral) <= 3, problem.families
-    if len(every[0]) <= (_MANY if few_gains else _FEW):
+    few_gains, every = len(task.neutral) <= 3, problem.families[0]
+    if len(every) <= (_MANY_LOOPS if few_gains else FEW_LOOPS):
         return solve(problem, task)
-    chosen = plants.first(points)
-
-    def extended(solution: GainSolution) -> GainProblem | None:
-        measures = problem.by_loop(every[0], solution.best.x)
+    chosen = plants.first(plants.points)
+    solution = solve(replace(problem, families=(plants.family(plants.points, chosen),)), task)
+    while True:
+        measures = problem.by_loop(every, solution.best.x)
         measures[0] += solution.best.score.value
         measures[1:] -= solution.best.score.violation
         worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
+        if not worst:
+            return _improve(problem, solution, task)
         chosen.extend(sorted(worst))
-        return replace(problem, families=(plants.family(points, chosen),)) if worst else None
-
-    def design(larger: GainProblem, last: GainSolution) -> GainSolution:
-        if not few_gains:
-            return _improve(larger, last, task)
-        again = solve(larger, replace(task, first=(last.best.x, *task.first)))
-        return replace(again, history=last.history + again.history)
-
-    first = solve(replace(problem, families=(plants.family(points, chosen),)), task)
-    return _improve(problem, _exchange(first, extended, design), task)
-
-
-def sketch_over_points(problem: GainProblem, plants: Plants, points: FloatArray, task: SearchTask) -> SearchOutcome:
-    """Return different good designs of the loops with which a search begins, as first designs of similar loops."""
-    if len(problem.families[0]) > _FEW:
-        problem = replace(problem, families=(plants.family(points, plants.first(points)),))
-    return search(problem, replace(task, options=replace(task.options, sketch=True)))
+        larger = replace(problem, families=(plants.family(plants.points, chosen),))
+        if few_gains:
+            again = solve(larger, replace(task, first=(solution.best.x, *task.first)))
+            solution = replace(again, history=solution.history + again.history)
+        else:
+            solution = _improve(larger, solution, task)
 
 
 def add_worst_points(
@@ -301,24 +236,20 @@ def add_worst_points(
     task : SearchTask
         Its `progress` is told of each round.
     """
-    quiet = replace(task, progress=None)
-
-    def extended(known: GainSolution) -> GainProblem | None:
-        worse = _worse_points(known, plants, domain)
+    for i in count():
+        worse, problem = _worse_points(solution, plants, domain), solution.problem
         if not len(worse):
-            return None
-        points = known.problem.families[0].points
-        assert points is not None
-        points = np.vstack([np.unique(points, axis=0), worse])
-        families = (plants.family(points),)
-        linear = plants.gain_limits(points, known.problem.lower, known.problem.upper)
-        return replace(known.problem, families=families, linear=linear, cuts=())
-
-    def design(problem: GainProblem, last: GainSolution) -> GainSolution:
-        improved = _improve(problem, last, quiet)
-        return replace(improved, history=last.history).noted("points", task.progress)
-
-    solution = _exchange(solution, extended, design, _ROUNDS)
+            break
+        if i == _ROUNDS:  # there are worse points still
+            solution = replace(solution, best=replace(solution.best, converged=False))
+            break
+        known = problem.families[0].points
+        assert known is not None
+        points = np.vstack([np.unique(known, axis=0), worse])
+        linear = plants.gain_limits(points, problem.lower, problem.upper)
+        problem = replace(problem, families=(plants.family(points),), linear=linear, cuts=())
+        improved = _improve(problem, solution, replace(task, progress=None))
+        solution = replace(improved, history=solution.history).noted("points", task.progress)
     return solution, (
         f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops; no point of the "
         f"rectangle worse by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
@@ -366,6 +297,45 @@ def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatAr
         values = problem.by_loop(plants.family(block), x)
         parts.append(values.reshape(len(values), -1, len(block)).max(axis=1))
     return np.concatenate(parts, axis=1)
+
+
+# ---- Independent searches with different seeds.
+
+
+def independent_searches(
+    design: Callable[[SearchTask], GainSolution], task: SearchTask, n: int, certified_is_enough: bool = False
+) -> tuple[GainSolution, tuple[float, ...]]:
+    """Return the best design of up to n searches with different seeds, and the value of each; none for a grid.
+
+    They end early when three have found the same design, and when the budget is used up.
+
+    Parameters
+    ----------
+    design : callable
+        The search.
+    task : SearchTask
+        Its options have the first seed.
+    n : int
+        Number of searches.
+    certified_is_enough : bool
+        Whether a design with a certificate ends them, too.
+    """
+    if on_grid(len(task.neutral), task.options):
+        return design(task), ()
+    solutions: list[GainSolution] = []
+    for seed in range(task.options.seed, task.options.seed + n):
+        solutions.append(design(replace(task, options=replace(task.options, seed=seed))))
+        best = max(solutions, key=lambda solution: solution.order)
+        enough = _alike([solution.reached for solution in solutions], best.best.score.value) == LEAST_ALIKE
+        if enough or (certified_is_enough and best.certified) or best.problem.evaluations.exhausted:
+            break
+    history = tuple(step for solution in solutions for step in solution.history)
+    return replace(best, history=history), tuple(best.problem.in_units(solution.reached) for solution in solutions)
+
+
+def _alike(values: Iterable[float], best: float) -> int:
+    """Return how many values are the best one."""
+    return sum(value >= best - ALIKE * abs(best) for value in values)
 
 
 # ---- Gains with the largest damping, for any closed-loop matrices that depend on gains.
@@ -474,7 +444,6 @@ def maximise_damping(
     if len(set(names)) < len(names):
         raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
     low, high = as_bounds(options.lower, options.upper, names)
-    search_options = SearchOptions(options.starts, options.seed, options.evaluations)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
     limits = Limits(
@@ -490,17 +459,13 @@ def maximise_damping(
     neutral = usable_start(families, [neutral, *given], low, high, options.seed)
     scale, designs = typical_rate(families, neutral), Evaluations(most=options.evaluations)
     problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
-    task = SearchTask(neutral, tuple(given), search_options, options.progress)
-    solution = solve(problem, task)
-    if not (on_grid(len(names), search_options) or solution.certified or designs.exhausted):
-        # a search without a certificate may have ended in a poor basin: half of them do on a chemical reactor
-        again = solve(problem, replace(task, options=replace(search_options, seed=options.seed + 1)))
-        history = (*solution.history, *again.history)
-        solution = max(solution, again, key=lambda each: (each.stable, rank(each.best)))
-        solution = replace(solution, history=history)
+    task = SearchTask(
+        neutral, tuple(given), SearchOptions(options.starts, options.seed, options.evaluations), options.progress
+    )
+    # a search without a certificate may have ended in a poor basin: half of them do on a chemical reactor
+    solution, values = independent_searches(partial(solve, problem), task, 2, certified_is_enough=True)
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
-    values = () if on_grid(len(names), search_options) else (problem.in_units(solution.best.score.value),)
     verified = f"eigenvalues{norms} of the {n_loops} closed-loop matrices"
     return summarise(solution, names, verified, seed_values=values)
 
@@ -534,8 +499,7 @@ def summarise(
     certificate = best.certificate
     status = GainStatus.STALLED
     if solution.certified:
-        top = np.nanmax([*seed_values, -np.inf])
-        alike = sum(value >= top - ALIKE * abs(top) for value in seed_values)
+        alike = _alike(seed_values, np.nanmax([*seed_values, -np.inf]))
         status = GainStatus.OPTIMAL if not seed_values or alike >= LEAST_ALIKE else GainStatus.LOCAL_OPTIMUM
     if not best.converged or (problem.evaluations.exhausted and status is GainStatus.STALLED):
         status = GainStatus.ITERATION_LIMIT
@@ -552,12 +516,19 @@ def summarise(
         text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}{ended}"
         notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
     if status is GainStatus.STALLED and certificate is not None:
-        notes = (*notes, _stalled(certificate))
+        text = (
+            "no certificate of optimality: to first order the objective would rise by "
+            f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
+            "steps to meeting eigenvalues, random moves and gradients from balls around it found no better one"
+        )
+        notes = (*notes, ControlNote.NO_CERTIFICATE(text))
     active, peaks = _active(problem, x, names, stable), _peaks(problem, x, stable)
     if stable and not peaks and late:
         verified_on += " at first, eigenvalues alone at the end: the time was over"
-    more = {**peaks, **_certificate(certificate), **more}
-    return GainResult(
+    if certificate is not None and np.isfinite(certificate.gain):
+        peaks |= {f"certificate_{name}": getattr(certificate, name) for name in ("gain", "radius", "room")}
+    more = {**peaks, **more}
+    result = GainResult(
         dict(zip(names, map(float, x), strict=True)),
         problem.in_units(score.value) if stable else worst.value(problem.limits.objective),
         problem.limits.objective,
@@ -571,20 +542,25 @@ def summarise(
         seed_values=seed_values,
         **more,
     )
+    return _with_goals(result, problem, x)
 
 
-def _stalled(certificate: Certificate) -> str:
-    return ControlNote.NO_CERTIFICATE(
-        "no certificate of optimality: to first order the objective would rise by "
-        f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
-        "steps to meeting eigenvalues, random moves and gradients from balls around it found no better one"
-    )
-
-
-def _certificate(found: Certificate | None) -> dict[str, float]:
-    if found is None or not np.isfinite(found.gain):
-        return {}
-    return {f"certificate_{name}": getattr(found, name) for name in ("gain", "radius", "room")}
+def _with_goals(result: GainResult, problem: GainProblem, x: FloatArray) -> GainResult:
+    """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
+    limits = problem.limits
+    if not limits.measures or problem.evaluations.late:
+        return result
+    figures = []
+    states = [problem.state(family, family.matrices(x), x) for family in problem.families]
+    for measure in limits.measures:
+        excess = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
+        figures.append(GoalFigure(measure.name, measure in limits.soft, *max(excess)))
+    result = replace(result, goals=tuple(figures))
+    if not limits.soft:
+        return result
+    if not limits.weight:
+        return replace(result, objective="goals")
+    return replace(result, value=result.worst.value(limits.objective))
 
 
 def _mode(worst: WorstMode) -> str:

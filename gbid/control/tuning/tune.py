@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,18 +19,15 @@ from gbid.control.tuning.plants import (
     TuneOptions,
     plants_of,
 )
-from gbid.control.tuning.problem import FEASIBLE, Evaluations, GainProblem, Limits
+from gbid.control.tuning.problem import Evaluations, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
-from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge, worst_mode
-from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, on_grid, rank, typical_rate
+from gbid.control.tuning.result import GainResult, distance_to_edge, worst_mode
+from gbid.control.tuning.search import GainSolution, Progress, SearchOptions, SearchTask, search
 from gbid.control.tuning.solve import (
-    ALIKE,
-    LEAST_ALIKE,
-    GainSolution,
     add_worst_points,
     as_bounds,
     as_start,
-    sketch_over_points,
+    independent_searches,
     solve_over_points,
     summarise,
 )
@@ -67,25 +65,6 @@ def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[s
         )
         notes += (ControlNote.SAMPLED_LOOP(text),)
     return notes
-
-
-def goal_figures(solution: GainSolution, result: GainResult) -> GainResult:
-    """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
-    problem, x = solution.problem, solution.best.x
-    limits = problem.limits
-    if not limits.measures or problem.evaluations.late:
-        return result
-    figures = []
-    states = [problem.state(family, family.matrices(x), x) for family in problem.families]
-    for measure in limits.measures:
-        excess = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
-        figures.append(GoalFigure(measure.name, measure in limits.soft, *max(excess)))
-    result = replace(result, goals=tuple(figures))
-    if not limits.soft:
-        return result
-    if not limits.weight:
-        return replace(result, objective="goals")
-    return replace(result, value=result.worst.value(limits.objective))
 
 
 def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -178,12 +157,12 @@ def tuned(
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("start", options.start, names)
     first = [as_start([given.get(n, v) for n, v in zip(names, box[2], strict=True)], names)] if given else []
-    search = SearchOptions(options.starts, options.seed, options.evaluations)
+    effort = SearchOptions(options.starts, options.seed, options.evaluations)
     budget = Evaluations.of(options.evaluations, options.seconds)
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
-        first.append(_constant_gains(plants, structure, limits, box, search, budget))
-    task = SearchTask(box[2], tuple(first), search, progress)
-    solution, values = _independent_searches(plants, limits, box, (task, options.seeds), budget)
+        first.append(_constant_gains(plants, structure, limits, box, effort, budget))
+    task = SearchTask(box[2], tuple(first), effort, progress)
+    solution, values = independent_searches(partial(_design, plants, limits, box, budget), task, options.seeds)
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
@@ -199,59 +178,28 @@ def tuned(
         )
         notes += (ControlNote.WORST_POINTS_NOT_SEARCHED(text),)
     more = {"points": points, "controller": structure, **({} if plants.sampling is None else vars(plants.sampling))}
-    return goal_figures(solution, summarise(solution, names, verified, notes, seed_values=values, **more))
+    return summarise(solution, names, verified, notes, seed_values=values, **more)
 
 
 Box = tuple[FloatArray, FloatArray, FloatArray]
 """Lower bounds, upper bounds and start values of the gains."""
 
 
-def _problem(plants: Plants, limits: Limits, box: Box, budget: Evaluations) -> GainProblem:
-    families, linear = (plants.family(plants.points),), plants.gain_limits(plants.points, *box[:2])
-    return GainProblem(families, limits, *box[:2], typical_rate(families, box[2]), linear, evaluations=budget)
-
-
-def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask, budget: Evaluations) -> GainSolution:
-    """Best design: of the continuous loops, or of the sampled ones with starts from these."""
+def _design(plants: Plants, limits: Limits, box: Box, budget: Evaluations, task: SearchTask) -> GainSolution:
+    """Best design of a search: of the continuous loops, or of the sampled ones with starts from these."""
     if plants.sampling is None:
-        return solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
-    continuous = plants.continuous
-    half = budget.half()
-    sketch = sketch_over_points(_problem(continuous, limits, box, half), continuous, plants.points, task)
+        return solve_over_points(plants.problem(limits, *box, budget), plants, task)
+    continuous, half = plants.continuous, budget.half()
+    sketch = search(
+        continuous.problem(limits, *box, half, few=True), replace(task, options=replace(task.options, sketch=True))
+    )
     budget.count = half.count
     first = (*(end.x for end in sketch.ends), *task.first)
     # few gains: a search of the whole box again, because it costs little; else from the continuous designs
     options = task.options if len(task.neutral) <= 3 else replace(task.options, starts=0)
     task = replace(task, first=first, options=options)
-    solution = solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
+    solution = solve_over_points(plants.problem(limits, *box, budget), plants, task)
     return replace(solution, history=sketch.history + solution.history)
-
-
-def _independent_searches(
-    plants: Plants, limits: Limits, box: Box, tasks: tuple[SearchTask, int], budget: Evaluations
-) -> tuple[GainSolution, tuple[float, ...]]:
-    """Best design of a number of searches with different seeds, and the value of each; none for a grid."""
-    task, n = tasks
-    options = task.options
-    if on_grid(len(task.neutral), options):
-        return _search(plants, limits, box, task, budget), ()
-    solutions: list[GainSolution] = []
-    for seed in range(options.seed, options.seed + n):
-        if solutions and budget.exhausted:
-            break
-        seeded = replace(task, options=replace(options, seed=seed))
-        solutions.append(_search(plants, limits, box, seeded, budget))
-        best = max(solutions, key=lambda one: (one.stable, one.best.score.violation <= FEASIBLE, rank(one.best)))
-        top = best.best.score.value
-        if sum(_reached(one) >= top - ALIKE * abs(top) for one in solutions) == LEAST_ALIKE:
-            break
-    history = tuple(step for one in solutions for step in one.history)
-    return replace(best, history=history), tuple(best.problem.in_units(_reached(one)) for one in solutions)
-
-
-def _reached(solution: GainSolution) -> float:
-    """Value of a design that keeps its limits; NaN for another one."""
-    return solution.best.score.value if solution.stable and solution.best.score.violation <= FEASIBLE else np.nan
 
 
 def _gain_bounds(structure: Structure | Scheduled, bounds: Mapping[str, tuple[float, float]] | None) -> Box:
@@ -272,14 +220,14 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
 
 
 def _constant_gains(
-    plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, options: SearchOptions, budget: Evaluations
+    plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, effort: SearchOptions, budget: Evaluations
 ) -> FloatArray:
     """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
     others = replace(plants.continuous, structure=replace(structure, terms=("1",)))
     constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
     low, high, start = (values[constant] for values in box)
-    task = SearchTask(start, options=options)
-    solution = solve_over_points(_problem(others, limits, (low, high, start), budget), others, plants.points, task)
+    problem = others.problem(limits, low, high, start, budget)
+    solution = solve_over_points(problem, others, SearchTask(start, options=effort))
     coefficients = np.zeros(len(constant))
     coefficients[constant] = solution.best.x
     return coefficients
