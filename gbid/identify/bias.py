@@ -109,7 +109,7 @@ def _posed_anew(
     """
     problem, task = optimum.problem, optimum.problem.task
     given = optimum.shooting if optimum.reweighted is None else optimum.reweighted.problem
-    if given.extra is not None:
+    if given.extra is not None or given.responses:
         return None
     choice = task.options.initial_state if isinstance(task.options.initial_state, str) else "estimated"
     begins = initial_states(structure, task.parameters, choice, [record.name for record in task.data.records])

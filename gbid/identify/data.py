@@ -85,7 +85,7 @@ class FitData:
     @property
     def is_irregular(self) -> bool:
         """Whether the times of a record are irregular; then every record has times."""
-        return self.records[0].time is not None
+        return any(record.time is not None for record in self.records)
 
     def time_of(self, record: Record) -> FloatArray:
         """Return the times of the samples of one of the records from the first one [s], (n_samples,)."""

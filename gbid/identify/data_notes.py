@@ -33,6 +33,8 @@ def data_notes(data: FitData, names: Set[str], left_out: Mapping[str, Sequence[t
     left_out : dict of str to sequence of (start, stop)
         Samples of recordings that do not count.
     """
+    if not data.records:
+        return ()
     bearing = set(KEY_PARAMETERS) <= names
     notes = [*(_units(data) if bearing else ()), *_twins(data.records), *_same_inputs(data)]
     for record in data.records:

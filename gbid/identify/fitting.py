@@ -16,9 +16,9 @@ from gbid.core.errors import GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.core.option_types import takes_options
 from gbid.identify.data import column_means, column_variances
-from gbid.identify.frequency_fit import USED, fitted_to_responses
+from gbid.identify.frequency_fit import USED
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import FitTask, Measured, PosedProblem, Recordings, apart, pose, with_options
+from gbid.identify.pose import FitTask, Measured, PosedProblem, Recordings, apart, pose
 from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
@@ -33,13 +33,6 @@ def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments)
     began = time.perf_counter()
     keep_freed_memory()
     with asked_once():
-        in_time, responses = apart(recordings)
-        if responses and not in_time:
-            with one_blas_thread():
-                parameters = with_options(structure.parameters, options)
-                result = fitted_to_responses(structure, parameters, responses, options)
-            result = with_profiles(result, options.profile)
-            return replace(result, wall_time_s=time.perf_counter() - began)
         task = pose(structure, recordings, options)
         # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -1,28 +1,26 @@
-"""Frequency responses as data of a fit: values with standard deviations, and the errors of a structure."""
+"""Frequency responses with standard deviations as data of a fit, also from files of analysers and python-control."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Pictured
 from gbid.core.tables import Column, Table
-from gbid.identify.predictor import Predictor, matrices_with_slopes
-from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
-from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.identify.uncertainty.curves import ChannelCurves
 from gbid.recording.columns import name_and_unit
 from gbid.recording.text_files import read_text
 from gbid.recording.universal import UNIVERSAL_ENDINGS, PairResponse, read_responses
-from gbid.structure import AnyStructure, LinearModel, Structure, as_names, kind_of
+from gbid.structure import as_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,98 +390,3 @@ def _places(names: Sequence[str], wanted: Sequence[str], source: str) -> list[in
             raise DataError(f"frequency response {source!r} has no channel {each!r}; it has {', '.join(names)}")
         places += matching
     return places
-
-
-# ---- Errors of a model in standard deviations of the responses.
-
-
-class ResponseSums(NamedTuple):
-    """Negative log-likelihood of responses but for a constant, with its gradient and Gauss-Newton Hessian."""
-
-    cost: float
-    gradient: FloatArray
-    hessian: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ResponseErrors:
-    """Errors of the frequency response of a structure, in standard deviations, with derivatives.
-
-    Attributes
-    ----------
-    data : FrequencyData
-        The responses, with the channels of the structure.
-    predictor : Predictor
-        The structure with its free parameters.
-    index : (n_own,) integer array
-        Places of these among the parameters of the problem.
-    n_theta : int
-        Number of the parameters of the problem.
-    relative : float
-        Further standard deviation as a part of each response; with some of it the errors of a start far off say more.
-    """
-
-    data: FrequencyData
-    predictor: Predictor
-    index: IntArray
-    n_theta: int
-    relative: float = 0.0
-
-    @property
-    def weight(self) -> float:
-        """Share of the responses that are independent, as the errors of neighbours are correlated."""
-        return 1 / (1 + 2 * sum(self.data.correlation))
-
-    @property
-    def measured(self) -> BoolArray:
-        """Which responses were measured, (n, n_outputs, n_inputs)."""
-        return np.isfinite(self.data.response) & np.isfinite(self.data.std) & (self.data.std > 0)
-
-    def model(self, theta: FloatArray) -> tuple[LinearModel, ModelSlopes]:
-        """Return the model at values of the parameters, with its derivatives by the predictor's own."""
-        (A, B, C, D, _, B_delayed, delays), slopes, dt = matrices_with_slopes(self.predictor, theta[self.index])
-        delay = np.zeros(self.predictor.n_inputs)
-        delay[list(self.predictor.delayed)] = delays.value[:, 0]
-        model = LinearModel(A.value, B.value, C.value, D.value, dt=dt)
-        if self.predictor.delayed:
-            model = replace(model, B_delayed=B_delayed.value, delay=delay)
-        return model, ModelSlopes(*slopes)
-
-    def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return errors (n, n_outputs, n_inputs) and derivatives (n_theta, ...); zero where nothing was measured."""
-        model, slopes = self.model(theta)
-        f, size = self.data.frequency_hz, np.abs(self.data.response)
-        sigma = np.where(self.measured, np.hypot(self.data.std, self.relative * size), np.inf)
-        error = (model.frequency_response(f) - np.nan_to_num(self.data.response)) / sigma
-        changes = np.zeros((self.n_theta, *error.shape), complex)
-        changes[self.index] = response_slopes(model, slopes, f) / sigma
-        return error, changes
-
-    def rows(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted real and imaginary parts of errors (m,) and of their derivatives (m, n_theta)."""
-        error, changes = self.at(theta)
-        root = np.sqrt(self.weight)
-        return root * _as_rows(error), root * np.array([_as_rows(change) for change in changes]).T
-
-    def sums(self, theta: FloatArray) -> ResponseSums:
-        """Return the negative log-likelihood but for a constant, with derivatives."""
-        rows, slopes = self.rows(theta)
-        return ResponseSums(0.5 * float(rows @ rows), slopes.T @ rows, slopes.T @ slopes)
-
-
-def _as_rows(values: ComplexArray) -> FloatArray:
-    return np.concatenate([values.real.ravel(), values.imag.ravel()])
-
-
-def check_linear(structure: AnyStructure) -> Structure:
-    """Return a structure that has a frequency response.
-
-    Raises
-    ------
-    UsageError
-        For one that has none.
-    """
-    kind = kind_of(structure)
-    if kind.nonlinear or kind.scheduled or not isinstance(structure, Structure):
-        raise UsageError(f"{structure.name}: frequency responses are for linear structures with constant parameters")
-    return structure

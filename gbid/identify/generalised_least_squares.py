@@ -450,12 +450,12 @@ def _normal(task: WeightedProblem, z: FloatArray, filters: tuple[Whitening, ...]
         likelihood += log_likelihood(record, filter_)
         descent[record.columns] += psi @ record.errors.T.ravel()
         hessian[np.ix_(record.columns, record.columns)] += psi @ psi.T
-    away, known = z[:n_theta] - problem.prior.mean, problem.prior.information
-    descent[:n_theta] -= known * away
-    hessian[np.arange(n_theta), np.arange(n_theta)] += known
+    known = problem.known(z[:n_theta])
+    descent[:n_theta] -= known.gradient
+    hessian[:n_theta, :n_theta] += known.hessian
     fixed = np.concatenate([np.zeros(n_theta, bool), task.known.ravel()])
     descent[fixed], hessian[fixed], hessian[:, fixed] = 0.0, 0.0, 0.0
-    return _Normal(cost + 0.5 * float(known @ away**2), descent, hessian, likelihood)
+    return _Normal(cost + known.cost, descent, hessian, likelihood)
 
 
 def _nowhere(size: int) -> _Normal:

@@ -15,6 +15,7 @@ from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
 from gbid.identify.data import FitData, Record, centred_rows
 from gbid.identify.data_notes import data_notes
+from gbid.identify.frequency_fit import ResponseResiduals
 from gbid.identify.options import SettledOptions
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
@@ -59,10 +60,10 @@ def judge(optimum: Optimum) -> FitResult:
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(task.data.output_units)
     short_name = {**dict(zip(parameters, parameters, strict=True)), **assembly.own_names}
     at_edge = residuals.finite and any(shooting.parts_at_edge(theta))
-    shaft = shaft_notes(model.modes(), task.data) if residuals.finite else ()
+    shaft = shaft_notes(model.modes(), task.data) if residuals.finite and task.data.records else ()
     result = FitResult(
         structure=task.structure.name,
-        recordings=tuple(record.name for record in task.data.records),
+        recordings=tuple(each.name for each in task.data.records or task.responses),
         parameters=parameters,
         std=std,
         units={name: units[short_name[name]] for name in parameters},
@@ -70,11 +71,15 @@ def judge(optimum: Optimum) -> FitResult:
         covariance=certainty.covariance,
         covariance_white=spread.white,
         covariance_robust=spread.robust,
-        trusted="none" if bias.left_out else certainty.kind,
+        trusted="none" if certainty.left_out else certainty.kind,
         whiteness=whiteness.p_value if residuals.finite else np.full(len(residuals.products), np.nan),
         modes_std=spreads.modes,
         static_gain_std=spreads.static_gain,
-        initial_states=(estimate.starts[windows] + released_states(shooting, theta, windows))[:, : assembly.n_states],
+        initial_states=(
+            (estimate.starts[windows] + released_states(shooting, theta, windows))[:, : assembly.n_states]
+            if shooting.parts
+            else np.zeros((len(task.responses), assembly.n_states))
+        ),
         error_covariance=residuals.mean_square,
         fit_percent=residuals.fit_percent,
         **scores,
@@ -150,6 +155,8 @@ class _Residuals:
         Whether the mean of each record explains the outputs as well, see `explains_nothing`.
     noisy : (n_y,) boolean array
         Outputs with noise; the others are simulated ones, whose errors are at rounding.
+    responses : ResponseResiduals or None
+        Errors of a fit to frequency responses alone.
     """
 
     estimate: Estimate
@@ -161,6 +168,7 @@ class _Residuals:
     finite: bool
     worse_than_constant: bool
     noisy: BoolArray
+    responses: ResponseResiduals | None = None
 
     @property
     def sound(self) -> bool:
@@ -169,7 +177,9 @@ class _Residuals:
 
     @property
     def coloured(self) -> bool:
-        """Whether standard deviations for white errors are not to be trusted."""
+        """Whether standard deviations for independent errors are not to be trusted."""
+        if self.responses is not None and self.responses.doubtful:
+            return True
         return not (self.sound and self.whiteness.accepted[self.noisy].all())
 
 
@@ -178,6 +188,8 @@ def _residuals(optimum: Optimum) -> _Residuals:
     problem, shooting, solution = optimum.problem, optimum.shooting, optimum.solution
     data, windows = problem.task.data, problem.assembly.record_window
     theta, starts = shooting.unpack(solution.unknowns)
+    if not shooting.parts:
+        return _of_responses(optimum, Estimate(shooting, theta, starts, windows))
     every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)
     used = shooting.by_record([part.blocks.used[:, :, None] for part in shooting.parts], windows)
     outputs = [_counted_outputs(r, rows[:, 0] > 0) for r, rows in zip(data.records, used, strict=True)]
@@ -208,6 +220,23 @@ def _residuals(optimum: Optimum) -> _Residuals:
     )
 
 
+def _of_responses(optimum: Optimum, estimate: Estimate) -> _Residuals:
+    """Return the residuals of a fit to frequency responses alone."""
+    each = ResponseResiduals.at(optimum.shooting.responses, estimate.theta)
+    return _Residuals(
+        estimate=estimate,
+        by_record=[],
+        products=each.mean_square,
+        mean_square=each.mean_square,
+        fit_percent=each.fit_percent,
+        whiteness=Whiteness(np.full(len(each.p_value), np.nan), each.p_value, 0),
+        finite=bool(np.isfinite(each.mean_square).all() and np.isfinite(estimate.theta).all()),
+        worse_than_constant=False,
+        noisy=np.ones(len(each.p_value), bool),
+        responses=each,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Certainty:
     """How well the estimates are known.
@@ -224,6 +253,8 @@ class _Certainty:
         What the estimates are off by beside the noise.
     notes, notes_on_poles : sequence of str
         Notes on the standard deviations, and on poles that meet.
+    left_out : bool
+        Whether the structure leaves something out, so that no standard deviation holds.
     """
 
     on_bound: BoolArray
@@ -232,6 +263,7 @@ class _Certainty:
     bias: Bias
     notes: tuple[str, ...]
     notes_on_poles: list[str]
+    left_out: bool
 
     @property
     def covariance(self) -> FloatArray:
@@ -247,19 +279,23 @@ class _Certainty:
 def _certainty(optimum: Optimum, residuals: _Residuals) -> _Certainty:
     """Return how far the estimates may be off: their covariance and bias."""
     theta, coloured, noisy = residuals.estimate.theta, residuals.coloured, residuals.noisy
-    settled = residuals.sound and optimum.solution.status.success
+    responses = residuals.responses
+    settled = residuals.sound and optimum.solution.status.success and responses is None
     on_bound, spread = _uncertainty(optimum, residuals.estimate, residuals.products, coloured)
     spread, notes_on_poles = _with_equal_poles(optimum, theta, spread)
     kind: StdKind = "robust" if coloured else "white"
     std = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind))))
     errors = residuals.by_record if noisy.all() else [e * noisy for e in residuals.by_record]
     bias = bias_of(optimum, errors, std, white=not coloured) if settled else Bias()
-    notes = _notes(optimum, theta, on_bound, spread, coloured and not bias.explains_colour)
+    notes = _notes(optimum, theta, on_bound, spread, coloured and responses is None and not bias.explains_colour)
+    left_out = bias.left_out
+    if responses is not None and not residuals.whiteness.accepted.all():
+        notes, left_out = (*notes, *responses.notes), responses.follow
     if bias.moved is not None and bias.widens:
         spread = spread.widened(bias.moved)
     for shift in optimum.weighted.elsewhere if optimum.weighted else ():
         spread = spread.widened(shift)
-    return _Certainty(on_bound, spread, kind, bias, notes, notes_on_poles)
+    return _Certainty(on_bound, spread, kind, bias, notes, notes_on_poles, left_out)
 
 
 def _free_names(optimum: Optimum) -> tuple[str, ...]:
@@ -301,7 +337,7 @@ def _standard_deviations(optimum: Optimum, parameters: Iterable[str], certainty:
 
 def _model(optimum: Optimum, estimate: Estimate, parameters: dict[str, float]) -> Any:
     """Return the model of the first recording."""
-    task, record_names = optimum.problem.task, optimum.problem.assembly.record_names[0]
+    task, record_names = optimum.problem.task, next(iter(optimum.problem.assembly.record_names), {})
     kind, data = kind_of(task.structure), task.data
     first = {**parameters, **{short: parameters[full] for short, full in record_names.items()}}
     stated = {q.name: first[q.name] for q in task.structure.parameters}
@@ -312,7 +348,7 @@ def _model(optimum: Optimum, estimate: Estimate, parameters: dict[str, float]) -
 def _spreads_of_model(optimum: Optimum, estimate: Estimate, covariance: FloatArray, model: Any) -> ModelSpreads:
     """Return slopes and standard deviations of the model."""
     structure, scheduled = optimum.problem.task.structure, kind_of(optimum.problem.task.structure).scheduled
-    free = estimate.problem.parts[0].predictor.free
+    free = estimate.problem.groups[0].predictor.free
     tie = centre_tie(scheduled, free, list(_free_names(optimum))) if scheduled else None
     return model_spreads(estimate, covariance, model, [q.name for q in structure.parameters], tie)
 
@@ -320,6 +356,9 @@ def _spreads_of_model(optimum: Optimum, estimate: Estimate, covariance: FloatArr
 def _scores(optimum: Optimum, residuals: _Residuals) -> dict[str, Any]:
     """Return how good the fit is for its number of parameters: fields of the result."""
     estimate, mean_square = residuals.estimate, residuals.mean_square
+    if residuals.responses is not None:
+        loss, likelihood, k = residuals.responses.loss, residuals.responses.log_likelihood, len(estimate.theta)
+        return {"loss": loss, "log_likelihood": likelihood, "aic": 2 * k - 2 * likelihood, "fpe": np.nan}
     n, k = estimate.problem.n_samples, len(estimate.theta) + int((~estimate.given).sum())
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
     per_sample = len(mean_square) * (1 + float(np.log(2 * np.pi)))
@@ -337,6 +376,8 @@ def _scores(optimum: Optimum, residuals: _Residuals) -> dict[str, Any]:
 
 def _notes_on_coverage(optimum: Optimum, residuals: _Residuals, spread: Covariance, model: Any) -> list[str]:
     """Return notes on intervals that contain the truth less often than they state."""
+    if residuals.responses is not None:
+        return []
     # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
     gain = not residuals.coloured and model.K is not None and bool(model.K.any())
     models, data = _error_models(optimum) or spread.models, optimum.problem.task.data

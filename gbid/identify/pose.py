@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -13,8 +13,9 @@ from gbid.core.errors import UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
-from gbid.identify.disturbances import Disturbances, disturbances_of
-from gbid.identify.frequency_data import FrequencyData, check_linear
+from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbances_of
+from gbid.identify.frequency_data import FrequencyData
+from gbid.identify.frequency_fit import check_linear, refuse_other_options, response_start
 from gbid.identify.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
 from gbid.identify.kernel.gaps import with_kalman_gains
 from gbid.identify.kernel.sample import NonlinearPredictor
@@ -143,6 +144,7 @@ class FitTask:
             disturbances=self.disturbances,
             released=self.states.released,
             ties=ties,
+            responses=self.responses,
         )
         return structure, begin, assembly
 
@@ -150,9 +152,7 @@ class FitTask:
         self, assembly: Assembly, parameters: tuple[Parameter, ...], shooting: Shooting, unknowns: FloatArray
     ) -> tuple[Shooting, Box]:
         """Return the problem with the terms and constraints of the caller, and the bounds of its unknowns."""
-        shooting = with_extra_terms(
-            shooting, assembly, self.data, self.states, parameters, unknowns, self.options, self.responses
-        )
+        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, self.options)
         return shooting, unknown_bounds(shooting, assembly, self.states)
 
 
@@ -214,8 +214,14 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     hold = structure.intersample if options.intersample is None else options.intersample
     from_data = options.start == "data"
     parameters = with_options(structure.parameters, options)
-    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True, irregular=True)
     options = replace(options, inputs=inputs, outputs=outputs)
+    given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
+    if responses:
+        check_linear(structure)
+        responses = [each.channels(inputs, outputs) for each in responses]
+    if responses and not recordings:
+        return _of_responses(structure, parameters, responses, options, given)
+    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True, irregular=True)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
     courses = read_courses(scheduled, recordings) if scheduled else None
@@ -226,7 +232,6 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     names = [record.name for record in data.records]
     states = initial_states(structure, parameters, options.initial_state, names)
     disturbances = disturbances_of(options, data.output_names, data.sample_time)
-    given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data).at_even_times()
         if scheduled and courses:
@@ -234,8 +239,6 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
         else:
             begin = begin_values(stated, parameters, undisturbed, hold, given, from_data=from_data)
     structure = structure if inputs else kind_of(structure).without_inputs()
-    if responses:
-        check_linear(structure)
     return FitTask(
         structure,
         parameters,
@@ -247,7 +250,27 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
         disturbances,
         begin,
         courses,
-        tuple(each.channels(inputs, outputs) for each in responses),
+        tuple(responses),
+    )
+
+
+def _of_responses(
+    structure: AnyStructure,
+    parameters: tuple[Parameter, ...],
+    responses: Sequence[FrequencyData],
+    options: FitArguments,
+    given: Set[str],
+) -> FitTask:
+    """Return the task of a fit to frequency responses alone: without samples, windows and initial states."""
+    refuse_other_options(options)
+    names = responses[0].input_names, responses[0].output_names
+    data = FitData((), np.nan, *names, ("",) * len(names[1]))
+    states = InitialStates(np.zeros((0, 0)), np.zeros((0, 0), bool), "zero")
+    with one_blas_thread():
+        begin = response_start(structure, parameters, responses[0], given, from_data=options.start == "data")
+    options = replace(options, focus="simulation", intersample="zoh", criterion="trace", window=None)
+    return FitTask(
+        structure, parameters, data, data, options, "zoh", states, UNDISTURBED, begin, None, tuple(responses)
     )
 
 
@@ -322,9 +345,11 @@ def minimise(problem: PosedProblem) -> Optimum:
         ahead.append(refinement(problem.shooting, unknowns, box))
         return ahead[0].off > TOLERATED
 
-    predictor, ahead = problem.shooting.parts[0].predictor, list[Refinement]()
+    predictor, ahead = problem.shooting.groups[0].predictor, list[Refinement]()
     adapts = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
     notes, start = tuple[str, ...](), np.clip(problem.unknowns, *box)
+    if not problem.shooting.parts:
+        start = _nearer(problem.shooting, start, box)
     solution = solve(problem.shooting, start, *box, task.options, is_coarse if adapts else None)
     first = solution.history[0].cost if solution.history else np.nan
     for _ in range(_ROUNDS):
@@ -358,6 +383,16 @@ def minimise(problem: PosedProblem) -> Optimum:
         weighted, solution = weighted_solution(weighting, solution, np.clip(problem.unknowns, *box))
         notes = (*notes, *weighted.notes)
     return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
+
+
+_FAR = 0.3  # part of a response that counts as its error at first: far from a resonance its slopes lead nowhere
+
+
+def _nearer(shooting: Shooting, start: FloatArray, box: Box) -> FloatArray:
+    """Return the start of a fit to responses, or the solution with wide errors, whichever has the lower cost."""
+    wide = replace(shooting, responses=tuple(replace(each, relative=_FAR) for each in shooting.responses))
+    points = start, solve(wide, start, *box).unknowns
+    return min(points, key=lambda unknowns: shooting.at(unknowns).cost)
 
 
 # ---- Missing outputs: gains and variances after gaps, in rounds.

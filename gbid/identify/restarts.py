@@ -163,9 +163,8 @@ def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
 def best_attempt(task: FitTask) -> FitResult:
     """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others."""
     restarts, stated, windows = Restarts(task), task.begin.values, windows_of(task)
-    may_restart = task.options.max_iterations >= POLICY.enough_iterations and (
-        "data" not in task.begin.origin.values() or bool(task.begin.notes)
-    )
+    enough = task.data.records and task.options.max_iterations >= POLICY.enough_iterations
+    may_restart = bool(enough) and ("data" not in task.begin.origin.values() or bool(task.begin.notes))
     nonlinear = kind_of(task.structure).nonlinear and may_restart
     first = restarts.bounded(restarts.in_turn(stated, windows[:1] if nonlinear else windows))
     result = first.result
@@ -205,7 +204,7 @@ class Restarts:
     @property
     def longest(self) -> int:
         """Number of samples in the longest record."""
-        return max(record.n_samples for record in self.task.data.records)
+        return max((record.n_samples for record in self.task.data.records), default=0)
 
     def attempt(
         self, start: Mapping[str, float], window: int | None, *, gain_held: bool = False, unstable: bool = False

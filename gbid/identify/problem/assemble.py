@@ -20,7 +20,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold, distinct_steps
 from gbid.identify.data import FitData, Record, column_variances
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
-from gbid.identify.frequency_data import FrequencyData, ResponseErrors
+from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
 from gbid.identify.kernel.gaps import GapKernel, with_constant_gain
 from gbid.identify.kernel.lanes import LanesKernel
@@ -33,6 +33,7 @@ from gbid.identify.kernel.linear import (
     kernel_source,
 )
 from gbid.identify.kernel.nonlinear import MappedKernel, NonlinearKernel
+from gbid.identify.kernel.response import ResponseGroup
 from gbid.identify.kernel.sample import NonlinearPredictor, build_nonlinear_predictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
 from gbid.identify.options import FitArguments, Focus, RunEngine, Scope
@@ -246,7 +247,8 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
         firsts.setdefault(member.record, first)
         links += pairwise(range(first, last + 1))
         before = last
-    return Grouped(tuple(parts), np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()]), tuple(notes))
+    pairs, begins = np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()], np.int64)
+    return Grouped(tuple(parts), pairs, begins, tuple(notes))
 
 
 def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) -> bool:
@@ -303,6 +305,8 @@ class Assembly:
     ----------
     parts : tuple of RecordGroup
         Groups of records.
+    responses : tuple of ResponseGroup
+        Frequency responses.
     links : (n_links, 2) integer array
         Pairs of windows, counted over all parts. The first must end at the start state of the second.
     free : tuple of Parameter
@@ -318,6 +322,7 @@ class Assembly:
     """
 
     parts: tuple[RecordGroup, ...]
+    responses: tuple[ResponseGroup, ...]
     links: IntArray
     free: tuple[Parameter, ...]
     unused: tuple[str, ...]
@@ -328,13 +333,13 @@ class Assembly:
     @property
     def n_states(self) -> int:
         """Number of states of the structure, without the offsets of random walks."""
-        predictor = self.parts[0].predictor
+        predictor = (self.parts or self.responses)[0].predictor
         return predictor.n_states - len(predictor.disturbances.walking)
 
     @property
     def engine(self) -> RunEngine:
         """Engine of the passes over the samples."""
-        return self.parts[-1].kernel.engine
+        return self.parts[-1].kernel.engine if self.parts else "numpy"
 
     @property
     def own_names(self) -> dict[str, str]:
@@ -352,6 +357,7 @@ def assemble(
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
+    responses: Sequence[FrequencyData] = (),
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
 
@@ -374,6 +380,8 @@ def assemble(
         Initial states that are functions of the parameters.
     ties : Ties, optional
         Parameters of the structure that are linear in further, shared unknowns. These are then the first of `free`.
+    responses : sequence of FrequencyData
+        Frequency responses, in place of recordings or beside them.
 
     Raises
     ------
@@ -387,7 +395,7 @@ def assemble(
         each = list(structure)
     else:
         hold = structure.intersample if options.intersample is None else options.intersample
-        each = [OwnStructure(structure, hold)] * len(data.records)
+        each = [OwnStructure(structure, hold)] * max(1, len(data.records))
     model_of = [each.index(chosen) for chosen in each]  # first record with the structure of each
     intervals = distinct_steps(*(r.time for r in data.records if r.time is not None)) if data.is_irregular else None
 
@@ -409,9 +417,9 @@ def assemble(
         assert isinstance(chosen, Predictor)
         return with_spare_states(chosen, n_states)
 
-    own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
+    own_released = [()] * len(each) if released is None or not released.any() else [*map(tuple, released)]
     first = {model: predictor_for(focus, own_released[model], model) for model in dict.fromkeys(model_of)}
-    for record, model in zip(data.records, model_of, strict=True):
+    for record, model in zip(data.records, model_of, strict=False):
         _check_channels(each[model].structure, first[model], record, data)
     n_states = max(built.n_states for built in first.values())
     all_free = list({q.name: q for built in first.values() for q in built.free}.values())
@@ -429,9 +437,9 @@ def assemble(
             for q in first[model].free
             if q.name not in bound
         }
-        for record, model in zip(data.records, model_of, strict=True)
+        for record, model in zip(data.records, model_of, strict=False)
     )
-    free = _all_free(all_free, record_names)
+    free = _all_free(all_free, record_names) if record_names else tuple(all_free)
     if ties is not None:
         record_names = tuple(
             {**names, **{q.name: f"{q.name}[{record.name}]" for q in ties.own}}
@@ -440,7 +448,7 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
     members = []
-    for i, (record, names, model) in enumerate(zip(data.records, record_names, model_of, strict=True)):
+    for i, (record, names, model) in enumerate(zip(data.records, record_names, model_of, strict=False)):
         first_piece, edges = (i, ()) if ties is None else ties.pieces(i)
         feeds_back = first[model].feeds_back
         for segment, piece in segments_of(record, left_out.get(record.name, ()), edges, feeds_back=feeds_back):
@@ -453,7 +461,12 @@ def assemble(
             members.append(Member(i, segment, chosen, index, tie))
     window = automatic_window(data, focus, n_states) if options.window == "auto" else options.window
     parts, links, record_window, notes = grouped(members, window, begin)
-    return Assembly(parts, links, free, first[0].unused, record_window, record_names, notes)
+    shared, groups = first[0], tuple[ResponseGroup, ...]()
+    if responses:
+        if len(parts) > 1 or local or not isinstance(shared, Predictor):
+            raise UsageError("frequency responses are fitted together with recordings that share all parameters")
+        groups = tuple(ResponseGroup(each, shared, np.arange(len(free))) for each in responses)
+    return Assembly(parts, groups, links, free, shared.unused, record_window, record_names, notes)
 
 
 def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record: Record, data: FitData) -> None:
@@ -569,13 +582,25 @@ def build_problem(
         variance = np.average([column_variances(r.outputs) for r in data.records], axis=0)
         weights = 1 / np.where(variance > 0, variance, 1.0)
     theta = np.array([begin[q.name] for q in assembly.free])
-    n = assembly.parts[0].predictor.n_states
+    n = assembly.parts[0].predictor.n_states if assembly.parts else 0
     power = sum(float(column_variances(r.outputs) @ weights) * r.n_samples for r in data.records)
     known = _prior(assembly, options.prior or {})
-    scale = float(np.sqrt(power / data.n_samples))
+    scale = float(np.sqrt(power / max(1, data.n_samples)))
     problem = Shooting(
-        assembly.parts, assembly.links, criterion, weights, scale, np.ones(len(theta)), np.ones(n), known
+        assembly.parts,
+        assembly.responses,
+        assembly.links,
+        criterion,
+        weights,
+        scale,
+        np.ones(len(theta)),
+        np.ones(n),
+        known,
     )
+    curvature = np.diag(problem.known(theta).hessian) / problem.likelihood_size
+    if not assembly.parts:
+        problem = replace(problem, theta_scale=_scales(theta, curvature))
+        return problem, problem.pack(theta, np.zeros((0, 0)))
     values, weight = problem.values(theta), np.diag(weights) / power
     starts = np.zeros((problem.n_windows, n))
     size, sweeps = _sizes_of_states(problem, values, starts), problem.sweeps(values, starts, weight)
@@ -589,15 +614,18 @@ def build_problem(
         size = _sizes_of_states(problem, values, starts)
         state_scale = np.where(np.isfinite(size) & (size > 0), size, state_scale)
     products = problem.error_products(values, starts)
-    curvature = known.information / problem.likelihood_size
     if np.isfinite(products).all():  # the pass above, in units of the errors at these starts
         unit = power / (float(weights @ np.diag(products)) + 1e-13 * power)
         for s, part in zip(sweeps, problem.parts, strict=True):
             curvature[part.index] += unit * np.diag(s.hessian)
-    magnitude = np.where(theta != 0, np.abs(theta), 1.0)
-    theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
-    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale)
+    problem = replace(problem, theta_scale=_scales(theta, curvature), state_scale=state_scale)
     return replace(problem, stable_only=problem.growth(values, sweeps) <= 1), problem.pack(theta, starts)
+
+
+def _scales(theta: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Return the scale of each parameter: that of its curvature, else its size."""
+    size = np.where(theta != 0, np.abs(theta), 1.0)
+    return np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), size)
 
 
 def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -> FloatArray:
@@ -702,9 +730,8 @@ def with_extra_terms(
     parameters: Sequence[Parameter],
     start: FloatArray,
     options: FitArguments,
-    responses: Sequence[FrequencyData] = (),
 ) -> Shooting:
-    """Return a problem with the extra cost and the constraints of a caller, and measured frequency responses.
+    """Return a problem with the extra cost and the constraints of a caller.
 
     Parameters
     ----------
@@ -718,21 +745,14 @@ def with_extra_terms(
         Start, scaled; there the size of each constraint is taken.
     options : FitArguments
         Options with the extra cost and the constraints.
-    responses : sequence of FrequencyData
-        Frequency responses that are fitted together with the recordings.
 
     Raises
     ------
     UsageError
         When a function fails, or returns what is no expression in the parameters and initial states.
     """
-    if options.extra_cost is None and options.constraints is None and not responses:
+    if options.extra_cost is None and options.constraints is None:
         return problem
-    part, n_theta, errors = problem.parts[0], problem.n_theta, tuple[ResponseErrors, ...]()
-    if responses:
-        if len(problem.parts) > 1 or options.local or not isinstance(part.predictor, Predictor):
-            raise UsageError("frequency responses are fitted together with recordings that share all parameters")
-        errors = tuple(ResponseErrors(each, part.predictor, part.index, n_theta) for each in responses)
     theta = [ca.SX.sym(q.name) for q in assembly.free]
     columns = {r.name: ca.SX.sym(f"x0[{r.name}]", problem.n_states) for r in data.records}
     p = Values({q.name: ca.SX(q.start) for q in parameters if q.fixed and q.start is not None})
@@ -751,7 +771,6 @@ def with_extra_terms(
         limits = _limits(_called("constraints", options.constraints, p, x0), names)
     rows = ca.vertcat(*(each for _, each, _ in limits)) if limits else ca.SX(0, 1)
     used = np.flatnonzero(np.array(ca.DM(ca.jacobian_sparsity(ca.vertcat(cost, rows), symbols), 1.0)).any(axis=0))
-    used = np.union1d(np.arange(n_theta), used) if errors else used
     v, lam = symbols[used.tolist()] if len(used) else ca.SX(0, 1), ca.SX.sym("lam", rows.numel())
     H, g = ca.hessian(cost, v)
     bent = ca.hessian(ca.dot(lam, rows), v)[0] if limits else ca.SX(len(used), len(used))
@@ -769,7 +788,6 @@ def with_extra_terms(
         np.array([lower for lower, _, _ in limits], float),
         np.array([upper for _, _, upper in limits], float),
         tuple(str(each) for _, each, _ in limits),
-        errors,
     )
     problem = replace(problem, extra=terms)
     size = np.linalg.norm(terms.at(*problem.unpack(start)).slopes * problem.extra_places[1], axis=1)

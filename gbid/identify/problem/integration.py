@@ -58,7 +58,7 @@ def integrated_finely(
     (n_theta,) array or None
         How far the estimates move when the step of the integrator is halved; None if linear.
     """
-    predictor = problem.parts[0].predictor
+    predictor = problem.groups[0].predictor
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
     steps, ahead = predictor.steps, known[0] if known else refinement(problem, solution.unknowns, box)

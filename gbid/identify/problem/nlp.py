@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray, IntArray
-from gbid.identify.frequency_data import ResponseErrors
 from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.response import LikelihoodSums, ResponseGroup
 from gbid.identify.kernel.sums import Kernel, Lagrangian, Sweep, spectral_radius, tied
 from gbid.identify.options import Criterion
 from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
@@ -207,8 +207,6 @@ class ExtraTerms:
         Bounds of the constraints, divided by it.
     names : tuple of str
         Constraints as the caller wrote them.
-    responses : tuple of ResponseErrors
-        Errors of measured frequency responses, whose parameters are the first that are used.
     """
 
     cost: ca.Function
@@ -220,20 +218,14 @@ class ExtraTerms:
     lower: FloatArray
     upper: FloatArray
     names: tuple[str, ...]
-    responses: tuple[ResponseErrors, ...] = ()
 
     def at(self, theta: FloatArray, starts: FloatArray) -> ExtraValues:
         """Return the values for parameters (n_p,) and window starts (n_windows, n)."""
         v = self._point(theta, starts)
         value, gradient, hessian = (np.asarray(m, float) for m in self.cost(v))
         rows, slopes = (np.asarray(m, float) for m in self.rows(v))
-        slopes, cost, gradient = slopes.reshape(len(self.size), len(self.used)), float(value.item()), gradient.ravel()
-        for each in self.responses:
-            sums, n = each.sums(theta), len(theta)
-            cost += sums.cost
-            gradient[:n] += sums.gradient
-            hessian[:n, :n] += sums.hessian
-        return ExtraValues(cost, gradient, hessian, rows.ravel() / self.size, slopes / self.size[:, None])
+        slopes = slopes.reshape(len(self.size), len(self.used)) / self.size[:, None]
+        return ExtraValues(float(value.item()), gradient.ravel(), hessian, rows.ravel() / self.size, slopes)
 
     def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessian of the constraints times these multipliers, (n_used, n_used)."""
@@ -289,6 +281,8 @@ class Shooting:
     ----------
     parts : tuple of RecordGroup
         Groups of records.
+    responses : tuple of ResponseGroup
+        Frequency responses.
     links : (n_links, 2) integer array
         Pairs of windows, counted over all parts. The first must end at the start state of the second.
     criterion : {"trace", "det"}
@@ -310,6 +304,7 @@ class Shooting:
     """
 
     parts: tuple[RecordGroup, ...]
+    responses: tuple[ResponseGroup, ...]
     links: IntArray
     criterion: Criterion
     output_weights: FloatArray
@@ -321,6 +316,11 @@ class Shooting:
     stable_only: bool = False
     _last: dict[bytes, Iterate] = field(init=False, default_factory=dict)
     _met: dict[bytes, list[Any]] = field(init=False, default_factory=dict)
+
+    @property
+    def groups(self) -> tuple[RecordGroup | ResponseGroup, ...]:
+        """Groups of records, then frequency responses."""
+        return *self.parts, *self.responses
 
     @property
     def n_theta(self) -> int:
@@ -438,7 +438,7 @@ class Shooting:
 
     def by_part(self, windows: FloatArray) -> list[FloatArray]:
         """Return values of all windows, (n_windows, ...), part by part."""
-        return [windows] if len(self.parts) == 1 else np.split(windows, self.first_window[1:-1])
+        return [windows] if len(self.parts) == 1 else np.split(windows, self.first_window[1:])[:-1]
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
@@ -462,7 +462,10 @@ class Shooting:
         """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
 
         The logarithm does not change the optimum. It makes the solver's tolerance relative to the remaining errors.
+        Without samples it is zero.
         """
+        if not self.parts:
+            return 0.0
         if self.criterion == "trace":
             return 0.5 * float(np.log((self.output_weights @ np.diag(error_products) + self._floor) / self._power))
         units = np.sqrt(self.output_weights / self._power)
@@ -470,12 +473,22 @@ class Shooting:
 
     def cost_alone(self, theta: FloatArray, starts: FloatArray) -> float:
         """Return the cost at a point in physical units without a pass with sensitivities; NaN for a bad predictor."""
-        values, away = self.valid_values(theta), theta - self.prior.mean
+        values = self.valid_values(theta)
         if values is None:
             return np.nan
-        known = 0.5 * float(self.prior.information @ away**2)
-        known += self.extra.at(theta, starts).cost if self.extra is not None else 0.0
-        return self.cost(self.error_products(values, starts)) + known / self.likelihood_size
+        more = self.known(theta).cost + (self.extra.at(theta, starts).cost if self.extra is not None else 0.0)
+        return self.cost(self.error_products(values, starts)) + more / self.likelihood_size
+
+    def known(self, theta: FloatArray) -> LikelihoodSums:
+        """Return the negative log-likelihood of prior knowledge and of frequency responses by the parameters."""
+        away, information = theta - self.prior.mean, self.prior.information
+        cost, gradient, hessian = 0.5 * float(information @ away**2), information * away, np.diag(information)
+        for group in self.responses:
+            sums = group.sums(theta)
+            cost += sums.cost
+            gradient[group.index] += sums.gradient
+            hessian[np.ix_(group.index, group.index)] += sums.hessian
+        return LikelihoodSums(cost, gradient, hessian)
 
     def at(self, unknowns: FloatArray) -> Iterate:
         """Return the values at a point; see `at_physical`."""
@@ -514,7 +527,8 @@ class Shooting:
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""
         each = zip(self.parts, values, sweeps or repeat(None), strict=False)
-        return max(part.kernel.growth(v, part.blocks, sweep, self.state_scale) for part, v, sweep in each)
+        rates = (part.kernel.growth(v, part.blocks, sweep, self.state_scale) for part, v, sweep in each)
+        return max(rates, default=0.0)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -592,6 +606,8 @@ class Shooting:
     @property
     def likelihood_size(self) -> float:
         """Ratio of the negative log-likelihood to the cost."""
+        if not self.parts:
+            return sum(group.n_numbers for group in self.responses)
         return self.n_samples * (len(self.output_weights) if self.criterion == "trace" else 1)
 
     @cached_property
@@ -610,7 +626,7 @@ class Shooting:
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
         """Pairs of parameters that are in the same part, upper triangle."""
         meet = np.eye(self.n_theta, dtype=bool)
-        for part in self.parts:
+        for part in self.groups:
             meet[np.ix_(part.index, part.index)] = True
         rows, columns = np.nonzero(np.triu(meet))
         return rows, columns
@@ -646,7 +662,9 @@ class Shooting:
             rate = self.growth(values) if self._watched else 0.0
             if self._refused(theta, rate):
                 return self._invalid()
-            if self.criterion == "trace":  # the weight is one factor, applied after the pass
+            if not self.parts:
+                sweeps, products, factor = list[Sweep](), np.zeros((0, 0)), 1.0
+            elif self.criterion == "trace":  # the weight is one factor, applied after the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
                 products = np.asarray(sum(s.error_products for s in sweeps) + self.absent)
@@ -667,8 +685,8 @@ class Shooting:
         """Return the iterate, with the sums of the parts in place and scaled."""
         t, x = self.theta_scale, self.state_scale
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
-        starts_gradient, mixed, by_start, jacobian = [], [], [], []
-        ends = np.concatenate([s.end for s in sweeps])
+        starts_gradient, mixed, by_start, jacobian = [np.zeros((0, self.n_states))], [], [], []
+        ends = np.concatenate([starts[:0], *(s.end for s in sweeps)])
         for s, part, (_, windows), first in zip(
             sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
         ):
@@ -682,12 +700,12 @@ class Shooting:
                 (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
                 (s.end_start[local] / x[:, None] * x).ravel(),
             ]
-        away, known = theta - self.prior.mean, self.prior.information / self.likelihood_size
-        gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
+        known, unit = self.known(theta), 1 / self.likelihood_size
+        gradient, hessian = factor * gradient + unit * known.gradient, factor * hessian + unit * known.hessian
         gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
         jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
         iterate = Iterate(
-            self.cost(products) + 0.5 * float(known @ away**2),
+            self.cost(products) + unit * known.cost,
             np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
             gaps.ravel(),
             jacobian_entries[self.jacobian_pattern.order],
@@ -697,7 +715,7 @@ class Shooting:
         )
         if self.extra is None:
             return iterate
-        (places, scale), values, unit = self.extra_places, self.extra.at(theta, starts), 1 / self.likelihood_size
+        (places, scale), values = self.extra_places, self.extra.at(theta, starts)
         iterate.gradient[places] += unit * values.gradient * scale
         return iterate._replace(
             cost=iterate.cost + unit * values.cost,

@@ -700,7 +700,7 @@ def solve(
     most = options.max_iterations
     with _interruptible() as interrupt:
         runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
-        first, watch = runs.run(start, most, changes_over=True, ends_near=ends_near)
+        first, watch = runs.run(start, most, changes_over=bool(problem.parts), ends_near=ends_near)
         if not watch.creeping:
             if not (ends_near and first.status is FitStatus.CONVERGED_ACCEPTABLY):
                 first = runs.at_rest(first, most)

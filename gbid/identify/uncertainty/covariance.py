@@ -616,26 +616,31 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
     largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.coloured`. A prior
     adds its information to H, and to J as a measurement with its variance does.
     """
-    problem = at.problem
+    problem, modelled = at.problem, coloured and bool(at.problem.parts)
     n_p, estimated = problem.n_theta, ~at.given.ravel()
-    unit_power = np.eye(len(error_products)) / problem.n_samples  # that of filtered errors
-    weight = unit_power if at.filters else problem.weight(error_products)
+    unit_power = np.eye(len(error_products)) / max(1, problem.n_samples)  # that of filtered errors
+    weight = unit_power if at.filters or not problem.parts else problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - (n_p + int(estimated.sum())) / len(weight))
     shaped = weight @ (error_products / freedom) @ weight
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
-    if at.filters:
+    if not problem.parts:
+        nothing = np.zeros((n_p, n_p))
+        information, alike = Information(nothing, nothing, None, ()), False
+    elif at.filters:
         information, alike = _information_of(at, filtered_records(at), weight, shaped), False
     elif grows(at):
         information = _information_of(at, list(windowed_records(at)), weight, shaped)
     else:
         other = None if alike else shaped
-        left = None if coloured else information_of_last_pass(at, shaped=other)
-        information = left or information_over_records(at, weight, shaped=other, observed=coloured)
+        left = None if modelled else information_of_last_pass(at, shaped=other)
+        information = left or information_over_records(at, weight, shaped=other, observed=modelled)
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
-    unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
+    unit = 1 / problem.likelihood_size
+    if problem.parts:
+        unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
     known = unit * _known(at)
     keep = np.concatenate([~held, estimated])
     kept = np.ix_(keep, keep)
@@ -664,7 +669,7 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
     J_white = root.T @ J_white @ root
     white = robust = over_parameters(J_white, root)
     models, onto, weighted = list[ErrorModel](), root, None
-    if coloured:
+    if modelled:
         records, estimates = information.sensitivities, np.flatnonzero(keep)
         transforms: Sequence[Transform] = OnDemand(lambda i: transformed(records[i], estimates), len(records))
         plain = all(segment.is_plain for part in problem.parts for segment in part.blocks.segments)
@@ -682,6 +687,11 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
             flatness = float(curvatures[0])
             onto = root @ (axes / curvatures) @ axes.T if flatness >= FLATTEST else root
         robust = over_parameters(_with_rounding(J, blurred, J_white), onto)
+    elif coloured:  # frequency responses alone
+        scores = np.diag(problem.prior.information)
+        for group in problem.responses:
+            scores[np.ix_(group.index, group.index)] += group.score_products(at.theta)
+        robust = over_parameters(root.T @ (unit**2 * scores)[kept] @ root, root)
 
     directions = np.zeros((int(undetermined.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, undetermined].T
@@ -696,7 +706,7 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
 def _known(at: Estimate) -> FloatArray:
     """Return the information of prior and extra cost on parameters and initial states, (n_all, n_all)."""
     problem = at.problem
-    known = np.diag(np.pad(problem.prior.information, (0, at.n_all - problem.n_theta)))
+    known = np.pad(problem.known(at.theta).hessian, (0, at.n_all - problem.n_theta))
     if problem.extra is not None:
         known[np.ix_(problem.extra.used, problem.extra.used)] += problem.extra.at(at.theta, at.starts).hessian
     return known
@@ -800,7 +810,7 @@ def model_spreads(
     tie : (n_own, n_p) array, optional
         Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
     """
-    part, predictor, dt = at.problem.parts[0], at.problem.parts[0].predictor, None
+    part, predictor, dt = at.problem.groups[0], at.problem.groups[0].predictor, None
     local_covariance = chosen[np.ix_(part.index, part.index)] if tie is None else tie @ chosen @ tie.T
     tie = np.eye(len(at.theta))[part.index] if tie is None else tie
     local = tie @ at.theta

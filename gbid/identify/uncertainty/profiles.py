@@ -241,7 +241,7 @@ class Profiler(Walker):
         """Problem, its solution and bounds: with one window for each segment, unless the model grows in it."""
         at = self.estimate
         unknowns = at.problem.pack(at.theta, at.starts)
-        if grows(at):
+        if not at.problem.parts or grows(at):
             return at.problem, unknowns, self.box
         joined, kept = in_one_window(at.problem)
         return joined, unknowns[kept], (self.box[0][kept], self.box[1][kept])
@@ -331,7 +331,7 @@ class Profiler(Walker):
 
     def losses(self, rises: FloatArray) -> FloatArray:
         """Return the losses where the cost is larger by `rises`."""
-        return np.asarray(self.loss * np.exp(2 * rises))
+        return np.asarray(self.loss * np.exp(2 * rises) if self.estimate.problem.parts else self.loss + 2 * rises)
 
 
 def _end(side: Side, direction: int, threshold: float) -> float:
