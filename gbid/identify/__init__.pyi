@@ -58,7 +58,7 @@ from .uncertainty.residual_tests import (
     correlation as correlation,
     whiteness_test as whiteness_test,
 )
-from .uncertainty.spectra import (
+from .spectra import (
     DelayEstimate as DelayEstimate,
     MeasuredResponse as MeasuredResponse,
     estimate_delay as estimate_delay,

@@ -19,6 +19,7 @@ from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
 from gbid.identify import Profile, SubspaceOrders, select
 from gbid.identify.frequency_data import FrequencyData
+from gbid.identify.spectra import MeasuredResponse
 from gbid.identify.uncertainty.curves import (
     LEVEL,
     Bode,
@@ -32,7 +33,6 @@ from gbid.identify.uncertainty.curves import (
     quantile,
     time_response,
 )
-from gbid.identify.uncertainty.spectra import MeasuredResponse
 from gbid.identify.uncertainty.uncertain_model import ModelLike, UncertainModel, as_uncertain
 from gbid.recording import Recording
 from gbid.report.canvas import (
