@@ -12,7 +12,7 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-quick lint types imports unit test-slow mutants kills fuzz bench licences docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow kills fuzz bench licences docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -86,21 +86,16 @@ paper: $(VENV)/.installed  ## the whole paper: campaign to impacts, report, figu
 	$(BIN)/gbid paper $(PAPER) --overwrite --format pdf --format svg --format png --output docs/reproduction.json
 
 bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes the table that the docs show
-	$(BIN)/python -m benchmarks.fit_speed --output docs/benchmarks.json
-	$(BIN)/python -m benchmarks.rig_speed --output docs/rig-speed.json
-	$(BIN)/python -m benchmarks.tune_speed --output docs/tune-speed.json
-	$(BIN)/python -m benchmarks.tune_seeds
-	$(BIN)/python -m benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
-	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
-	$(BIN)/python -m benchmarks.campaign_bill --output docs/campaign-bill.json
-	$(BIN)/python -m benchmarks.scaling --output docs/scaling.json
-
-mutants: $(VENV)/.installed-test  ## put 60 small faults into the formulas of the paper, one at a time, and count those that the tests notice
-	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
-	$(BIN)/python -m benchmarks.mutants
+	$(BIN)/python -m tests.benchmarks.fit_speed --output docs/benchmarks.json
+	$(BIN)/python -m tests.benchmarks.tune_speed --output docs/tune-speed.json
+	$(BIN)/python -m tests.benchmarks.tune_seeds
+	$(BIN)/python -m tests.benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
+	$(BIN)/python -m tests.benchmarks.campaign_speed --output docs/campaign-speed.json
+	$(BIN)/python -m tests.benchmarks.campaign_bill --output docs/campaign-bill.json
+	$(BIN)/python -m tests.benchmarks.scaling --output docs/scaling.json
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
-	$(BIN)/python -m benchmarks.kills --output docs/kills.json
+	$(BIN)/python -m tests.benchmarks.kills --output docs/kills.json
 
 licences: $(VENV)/.installed-test  ## the table of licences in docs/install.md, from the metadata of the packages
 	PYTHONPATH=$(CURDIR)/tests/support $(BIN)/python tests/support/licences.py

@@ -10,11 +10,11 @@ import pytest
 from gain_problems import damping_problem
 
 import gbid
-from benchmarks.known_loops import two_masses_canonical
 from gbid.control import GainStatus, MaxDamping
 from gbid.control.tuning.certificate import certify
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.problem import GainProblem, Limits
+from tests.benchmarks.known_loops import two_masses_canonical
 
 
 @pytest.mark.parametrize("bound", [1.0, 0.1])

@@ -10,10 +10,10 @@ from random_loops import KINDS, random_problem
 from scipy.optimize import differential_evolution
 
 import gbid
-from benchmarks.known_loops import delayed_pd, integrators, reactor, tuned_mass_damper, two_masses
-from benchmarks.running import DOCS, stored
-from benchmarks.tune_seeds import NEAR, STORED, problems, seeds_table
 from gbid.control import GainStatus, MaxDamping, PeakSensitivity, controller_at
+from tests.benchmarks.known_loops import delayed_pd, integrators, reactor, tuned_mass_damper, two_masses
+from tests.benchmarks.running import DOCS, stored
+from tests.benchmarks.tune_seeds import NEAR, STORED, problems, seeds_table
 
 
 @pytest.mark.parametrize("order", [6, 10])

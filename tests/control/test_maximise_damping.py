@@ -10,13 +10,13 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from benchmarks.known_loops import two_masses_canonical
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.peaks import Peaks, peak_slopes
 from gbid.control.tuning.plane import InvariantSubspaces
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem, Limits, rows_of
 from gbid.structure import LinearModel
+from tests.benchmarks.known_loops import two_masses_canonical
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:

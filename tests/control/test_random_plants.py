@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from benchmarks import random_plants
-from benchmarks.random_plants import PLANTS, judged, summary
-from benchmarks.running import DOCS
+from tests.benchmarks import random_plants
+from tests.benchmarks.random_plants import PLANTS, judged, summary
+from tests.benchmarks.running import DOCS
 
 STORED = json.loads((DOCS / "random-plants.json").read_text(encoding="utf-8"))
 

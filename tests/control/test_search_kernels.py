@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import gbid
-from benchmarks.known_loops import integrators
 from gbid.control.tuning.local import quadratic_programme
 from gbid.control.tuning.plane import Eigensystem, eigenvalues
+from tests.benchmarks.known_loops import integrators
 
 _KERNELS = tuple(f"gbid.control.tuning.{name}" for name in ("plane.kernels", "peaks.kernels"))
 

@@ -11,8 +11,6 @@ import pytest
 from places import DOCS
 
 import gbid
-from benchmarks import tune_speed
-from benchmarks.tune_speed import FINE, Loops, survivors
 from gbid.control import (
     HalfSine,
     MaxDamping,
@@ -28,6 +26,8 @@ from gbid.control import (
 )
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
+from tests.benchmarks import tune_speed
+from tests.benchmarks.tune_speed import FINE, Loops, survivors
 
 MODEL = gbid.load_model("theisen2016")
 ONE = [(6.0, 0.0)]

@@ -15,8 +15,8 @@ from compilers import no_compiler
 from places import DOCS
 
 import gbid
-from benchmarks import campaign_speed, fit_speed, nonlinear_speed, scaling, threads, worker
-from benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
+from tests.benchmarks import campaign_speed, fit_speed, nonlinear_speed, scaling, worker
+from tests.benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
 
 STORED = DOCS / "benchmarks.json"
 
@@ -113,9 +113,3 @@ def test_ratios_of_the_film() -> None:
     assert ratios == ["100", "100", "63"]  # 10 / 0.1, 16 / 0.16, 10.06 / 0.16
     stages["film_after"]["mean_square"] = 2.01
     assert not nonlinear_speed.agrees(run)
-
-
-def test_designs_and_fits_at_once_have_the_bits_of_those_in_turn() -> None:
-    """Short twin of `python -m benchmarks.threads`."""
-    tasks = threads.tasks_of(4)
-    assert threads.at_once(tasks) == [task() for task in tasks]

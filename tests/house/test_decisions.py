@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 RECORDS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
 UNITS = "ms|us|µs|ns|s|min|minutes|seconds|hours|%|[kMG]B|iterations|times"
 FIGURE = re.compile(rf"(?<![\w.])(\d[\d .,]*(?:e-?\d+)?\s?(?:{UNITS}))(?!\w)")
-COMMAND = re.compile(r"`(?:python -m (benchmarks\.\w+)|make ([\w-]+)|gbid (\w+)[^`]*)`")
+COMMAND = re.compile(r"`(?:python -m (tests\.benchmarks\.\w+)|make ([\w-]+)|gbid (\w+)[^`]*)`")
 VERBS = {command.name for command in app.registered_commands}
 SETTINGS = {
     "0004": {"20 ms"},  # the hold that was chosen

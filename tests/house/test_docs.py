@@ -166,7 +166,7 @@ def test_notebooks_to_download_need_nothing_but_gbid() -> None:
     for path, names in offered.items():
         assert names == [f"{path.stem}.ipynb"]
         code = "\n".join(cells(path))
-        assert not re.search(r"\b(benchmarks|parents\[|docs/)", code), relative(path)
+        assert not re.search(r"\b(tests\.benchmarks|parents\[|docs/)", code), relative(path)
         assert "literalinclude" not in path.read_text(encoding="utf-8"), relative(path)
 
 
@@ -185,7 +185,7 @@ def test_equation_labels_are_defined() -> None:
 
 def test_benchmarks_need_no_package_of_the_tests_to_show_their_results() -> None:
     """A fresh clone builds the pages in an environment with the extra docs alone, which has no pytest."""
-    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+    for path in sorted((ROOT / "tests" / "benchmarks").glob("*.py")):
         for line in ast.parse(path.read_text(encoding="utf-8")).body:
             first = line.module or "" if isinstance(line, ast.ImportFrom) else ""
             names = [alias.name for alias in line.names] if isinstance(line, ast.Import) else [first]
@@ -369,7 +369,7 @@ def test_public_names_are_in_the_api_page(name: str) -> None:
 def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("myst_nb", reason="the docs extra is not installed: pip install .[docs]")
     docs = shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "jupyter_execute"))
-    for folder in ("models", "experiments", "benchmarks"):
+    for folder in ("models", "experiments", "tests/benchmarks"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "__pycache__"))
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", docs, tmp_path / "html"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -386,7 +386,7 @@ def test_architecture_and_decisions_name_files_that_exist() -> None:
         (page.name, name)
         for page in pages
         for name in re.findall(
-            r"(?<![\w/])((?:gbid|tests|experiments|models|docs|benchmarks)/[\w/.-]*\w)",
+            r"(?<![\w/])((?:gbid|tests|experiments|models|docs)/[\w/.-]*\w)",
             page.read_text(encoding="utf-8"),
         )
     }

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from benchmarks.many_results import REAL, make_results
 from gbid.experiment.run import Job
 from gbid.report.read import Results
+from tests.benchmarks.many_results import REAL, make_results
 
 
 def test_copies_stand_as_made_under_their_names(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.io import savemat
 
 import gbid
-from benchmarks import public
 from gbid.structure import nonlinear_model
+from tests.benchmarks import public
 
 STORED = json.loads((DOCS / "public-benchmarks.json").read_text(encoding="utf-8"))
 

@@ -8,10 +8,10 @@ import pytest
 from scipy import optimize, signal
 
 import gbid
-from benchmarks.response_intervals import measure
-from benchmarks.running import DOCS
 from gbid import FrequencyData, LinearStructure, Parameter
 from gbid.core.errors import DataError, UsageError
+from tests.benchmarks.response_intervals import measure
+from tests.benchmarks.running import DOCS
 
 TRUTH = {"k": (200 * np.pi) ** 2, "d": 0.04 * 200 * np.pi, "g": 100.0, "tau": 3e-4}
 FREQUENCIES = np.linspace(5, 300, 120)

@@ -9,10 +9,20 @@ from experiment_files import gbid as cli
 from fit_cases import assert_derivatives
 
 import gbid
-from benchmarks.running import DOCS
-from benchmarks.time_coverage import CASES, MEAN_STEP, TRUTH, Case, ratios, recording, step_matrix, structure, times
 from gbid import LinearModel, NonlinearStructure, Parameter, Recording
 from gbid.core.errors import DataError, GbidError, UsageError
+from tests.benchmarks.running import DOCS
+from tests.benchmarks.time_coverage import (
+    CASES,
+    MEAN_STEP,
+    TRUTH,
+    Case,
+    ratios,
+    recording,
+    step_matrix,
+    structure,
+    times,
+)
 
 A = np.array([[0, 1], [-(TRUTH["w"] ** 2), -2 * TRUTH["z"] * TRUTH["w"]]])
 B, C, K = np.array([[0], [TRUTH["g"]]]), np.array([[1.0, 0.0]]), np.array([[TRUTH["k1"]], [TRUTH["k2"]]])

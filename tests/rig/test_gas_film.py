@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import expm
 
 import gbid
-from benchmarks.independent_rig import matched
 from gbid.core.errors import UsageError
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
@@ -178,9 +177,3 @@ def test_what_needs_fourteen_parameters_is_refused_with_a_film(tmp_path):
     problems = " ".join(str(problem) for problem in caught.value.problems)
     assert "stiffening with a gas film" in problems
     assert "rig has a gas film" in problems
-
-
-def test_modes_whose_frequencies_cross_are_compared_by_their_poles():
-    truth, fit = np.array([[119.0, 0.06], [130.0, 0.62]]), np.array([[118.0, 0.60], [121.0, 0.07]])
-    assert np.array_equal(matched(fit, truth), fit[::-1])
-    assert np.array_equal(matched(truth, truth), truth)

@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import DOCS
 from rig_point import BARE, actuator, machine
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from benchmarks import rig_speed
 from gbid.core.errors import DataError, UsageError
 from gbid.rig import (
     FilmStiffening,
@@ -312,15 +310,6 @@ def test_run_up_integrates_its_angle_and_passes_the_resonance():
     peak_hz = 8000 / 60 * (radius.argmax() + 0.5) / 40
     assert 80 < peak_hz < 130
     assert radius[0] < 0.1 * radius.max()
-
-
-def test_benchmark_runs(tmp_path, capsys):
-    assert rig_speed.main(["--quick", "--output", str(tmp_path / "run.json")]) == 0
-    run = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
-    assert capsys.readouterr().out.strip() == rig_speed.rig_table(run)
-    stored = json.loads((DOCS / "rig-speed.json").read_text(encoding="utf-8"))
-    assert stored.keys() == run.keys()
-    assert stored["n_recordings"] == 86
 
 
 # ---- in a loop ----

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 from places import DOCS, ROOT
 
 PAGE = DOCS / "install.md"
-_DEVELOPERS = ("test", "mutants", "docs")
+_DEVELOPERS = ("test", "docs")
 _HEADING = "| package | installed by | licence |\n|---|---|---|\n"
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from chain_cases import KINDS, design, grid_of_maps, runout_map
+from emulated_chain import missing_tools, run_emulated
 
-from benchmarks.emulated_chain import missing_tools, run_emulated
 from gbid.export.chain import Chain, ChainOptions, chain_of
 from gbid.export.chain_c import write_chain
 from gbid.export.chain_python import selftest_rows
@@ -137,7 +137,6 @@ def test_it_runs_on_an_emulated_cortex_m4f(kind: str, number: str, most: float) 
     run = run_emulated(chain, selftest_rows(chain))
     assert run.wrong_row == 0
     assert 300 < run.instructions < most
-    assert run.largest_rate_hz == pytest.approx(170e6 / 2 / max(run.instructions, run.saturated, run.faulty))
     if number == "float":
         assert abs(run.saturated - run.instructions) < 0.05 * run.instructions
         assert run.faulty < run.instructions
