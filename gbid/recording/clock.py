@@ -182,6 +182,83 @@ def _gap(step: float, median: float, time: float, sample: int) -> str:
     return f"a gap of {step:g} s {after}"
 
 
+# ---- Columns of one file with clocks of their own, joined on their common span.
+
+_SAME_STEP = 1e-9  # largest relative difference of the steps of two clocks by rounding
+_OFF_GRID = 0.02  # largest part of a sample by which starts of clocks, and their ends, may differ from whole samples
+
+
+def has_one_clock(columns: Mapping[str, FileColumn]) -> bool:
+    """Return whether all columns have the same times, as far as the file states starts and steps."""
+    starts = {column.start_ns for column in columns.values()}
+    if len({column.clock for column in columns.values()}) <= 1:
+        return len(starts - {None}) <= 1
+    steps = [column.sample_time or 0.0 for column in columns.values()]
+    return len(starts) == 1 and None not in starts and max(steps) - min(steps) <= _SAME_STEP * max(steps)
+
+
+def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColumn]:
+    """Return columns whose clocks begin at different times on their common span, with a remark that says so.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    columns : dict of str to FileColumn
+        Whole columns by reference.
+
+    Raises
+    ------
+    DataError
+        When a column does not say when it begins or has uneven times, or when starts differ by parts of a sample.
+    """
+    if has_one_clock(columns):
+        return dict(columns)
+    for name, column in columns.items():
+        if column.start_ns is None or column.sample_time is None:
+            other = next(each for each in columns if each != name)
+            raise DataError(
+                f"{path}: column {name!r} has a clock of its own, without a start or with uneven steps, and cannot be "
+                f"joined with {other!r}; import columns of one clock, or resample them with the program of the logger"
+            )
+    steps = {name: float(column.sample_time or 0.0) for name, column in columns.items()}
+    step, start = min(steps.values()), max(column.start_ns or 0 for column in columns.values())
+    offsets = {name: 1e-9 * (start - (column.start_ns or 0)) / steps[name] for name, column in columns.items()}
+    firsts = {name: round(offset) for name, offset in offsets.items()}
+    n = min(len(column.values) - firsts[name] for name, column in columns.items())
+    if n < 2:
+        raise DataError(f"{path}: columns have no common time: {_starts_in_words(columns)}; record them together")
+    drift = {name: abs(offsets[name] - firsts[name]) + n * abs(each / step - 1) for name, each in steps.items()}
+    worst = max(drift, key=lambda name: drift[name])
+    begin = _starts_in_words(columns)
+    if drift[worst] > _OFF_GRID:
+        raise DataError(
+            f"{path}: column {worst!r} lies {drift[worst]:.2g} of a sample off the others "
+            f"({begin or 'the steps of their clocks differ'}); sample all channels with one clock, or resample them "
+            "with the program of the logger"
+        )
+    said = f"{begin or 'clocks of several columns'}: aligned on their common span of {n} samples"
+    return {
+        name: column._replace(
+            values=column.values[firsts[name] : firsts[name] + n],
+            remark="; ".join(filter(None, (column.remark, said))),
+        )
+        for name, column in columns.items()
+    }
+
+
+def _starts_in_words(columns: Mapping[str, FileColumn]) -> str:
+    """Return when columns begin after the first one."""
+    first = min(columns, key=lambda name: columns[name].start_ns or 0)
+    after = {name: 1e-9 * ((column.start_ns or 0) - (columns[first].start_ns or 0)) for name, column in columns.items()}
+    late = [(name, seconds) for name, seconds in after.items() if seconds > 0]
+    text = ", ".join(
+        f"{name} begins {seconds:.6g} s ({seconds / (columns[name].sample_time or 1.0):.4g} samples) after {first}"
+        for name, seconds in late[:_LISTED]
+    )
+    return f"{text} and {len(late) - _LISTED} more" if len(late) > _LISTED else text
+
+
 # ---- Sample time of an import: from the mapping, from a time column, or as the file states it.
 
 MAX_DISAGREEMENT = 1e-3
@@ -299,6 +376,7 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     piece, remarks = _chosen(path, mapping, pieces, time, start)
     time = time[piece.rows]
     steps = np.diff(time)
+    remarks = (*_unit_remark(path, mapping, columns, float(np.median(steps))), *remarks)
     uneven = float(np.abs(steps / np.median(steps) - 1).max())  # largest relative deviation from the median step
     if uneven > MAX_RESAMPLED:
         raise DataError(
@@ -384,7 +462,12 @@ def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, F
     return mapping.sample_time
 
 
+# ---- Times of a time column in seconds, with the units of dates that programs write as numbers.
+
 _LONGEST = 1e100  # s; no sum or square of such times overflows
+_SHORTEST_STEP, _LONGEST_STEP = 1e-6, 1.0  # s; sample times of rigs
+_SINCE_1970 = ((1e12, 1e13, "ms"), (1e15, 1e16, "us"), (1e18, 1e19, "ns"))
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # days since 1900 of spreadsheets, and since the year 0 of MATLAB
 
 
 def times_of(path: Path, mapping: ImportMapping, name: str, columns: Mapping[str, FileColumn]) -> FloatArray:
@@ -395,13 +478,46 @@ def times_of(path: Path, mapping: ImportMapping, name: str, columns: Mapping[str
     DataError
         When file and mapping give different units, or when the values are too large for times.
     UsageError
-        When the unit is not a unit of time.
+        When the unit is not a unit of time, or when it is not given and may be seconds or days.
     """
     what = f"time column {name!r}"
-    factor = unit_factor(path, what, file_unit(path, what, mapping.time_unit, columns[name].unit) or "s", "s")
+    unit = file_unit(path, what, mapping.time_unit, columns[name].unit) or _unit_of_dates(path, what, columns[name])
     with np.errstate(over="ignore"):
-        time = columns[name].values * factor
+        time = columns[name].values * unit_factor(path, what, unit, "s")
     largest = float(np.abs(time).max(initial=0.0))
     if largest >= _LONGEST:
         raise DataError(f"{path}: {what} reaches {largest:g} s, which is no time; name the right column")
     return time
+
+
+def _unit_of_dates(path: Path, what: str, column: FileColumn) -> str:
+    """Return the unit of times whose unit is not given: seconds, unless the numbers are those of dates."""
+    first, step = float(column.values[0]), float(np.median(np.diff(column.values))) if len(column.values) > 1 else 1.0
+    for low, high, unit in _SINCE_1970:
+        if low <= first < high:
+            return unit
+    if not any(low <= first < high for low, high in _DAYS) or not 0 < step < _LONGEST_STEP / _DAY:
+        return "s"
+    if step < _SHORTEST_STEP:
+        return "day"
+    raise UsageError(
+        f"{path}: {what} begins at {first:.10g} with steps of {step:.3g}: days (steps of {step * _DAY:.3g} s) or "
+        "seconds; give time_unit: day or time_unit: s"
+    )
+
+
+_DAY = 86400.0
+
+
+def _unit_remark(path: Path, mapping: ImportMapping, columns: Mapping[str, FileColumn], step: float) -> tuple[str, ...]:
+    """Return what is said of a unit of time that neither file nor mapping gives."""
+    name = mapping.time or ""
+    what = f"time column {name!r}"
+    if file_unit(path, what, mapping.time_unit, columns[name].unit) is not None:
+        return ()
+    if (unit := _unit_of_dates(path, what, columns[name])) != "s":
+        begin = columns[name].values[0]
+        return (f"{what} has no unit; its times are those of dates, read in {unit} (the first is {begin:.15g})",)
+    if not _SHORTEST_STEP <= step <= _LONGEST_STEP:
+        return (f"{what} has no unit and is read in s: a sample time of {step:g} s; give time_unit if that is wrong",)
+    return ()

@@ -85,6 +85,10 @@ class FileColumn(NamedTuple):
         What was left out of the file; empty where nothing was.
     first : int or None
         Number of the first sample of `values`, where the file was read in part.
+    clock : int or None
+        Number of the clock of the column, where a file has several; columns of one clock share their times.
+    start_ns : int or None
+        Time of the first sample of the whole column [ns], on a scale that all columns of the file share.
     """
 
     values: FloatArray
@@ -92,6 +96,8 @@ class FileColumn(NamedTuple):
     sample_time: float | None = None
     remark: str = ""
     first: int | None = None
+    clock: int | None = None
+    start_ns: int | None = None
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeGuard
@@ -23,6 +24,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.extras import extra_package
+from gbid.core.units import conversion_factor
 from gbid.recording.clock import even_step
 from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
 from gbid.recording.iddata import IddataExperiment, experiments_of
@@ -233,14 +235,23 @@ _CUT = "left out: it has no line break, so the file may have been cut there"
 def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColumn]:
     indices = [table.index(reference) for reference in references]
     values = table.columns(indices) if indices else np.zeros((len(table.rows), 0))
-    for i, each in zip(indices, values.T, strict=True):
-        if (np.diff(each[~np.isnan(each)]) > 0).all():  # a time column
-            table.check_clock(i, indices)
     remark = "; ".join(filter(None, (table.layout.remark, f"the last line is {_CUT}" if table.is_cut else "")))
     return {
-        reference: FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=remark)
+        reference: _with_times(FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=remark), table, i)
         for k, (reference, i) in enumerate(zip(references, indices, strict=True))
     }
+
+
+def _with_times(column: FileColumn, table: TextTable, index: int) -> FileColumn:
+    """Return a column with the clock of its time column, where the table has several of different times."""
+    if not table.clocks:
+        return column
+    clock = max((i for i in table.clocks if i <= index), default=min(table.clocks))
+    times, factor = table.clocks[clock], conversion_factor(table.units[clock] or "s", "s")
+    step = even_step(times)
+    start = None if step is None else round(1e9 * factor * times[0])
+    stated = None if step is None else factor * step
+    return column._replace(values=column.values[: len(times)], sample_time=stated, clock=clock, start_ns=start)
 
 
 CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, takes_part=True, layout=csv_layout)
@@ -586,8 +597,10 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
         bits, values = signal.invalidation_bits, signal.samples
         if bits is not None and np.any(bits) and values.dtype.kind in "fiub":
             values = np.where(bits, np.nan, values)
-        total = file.groups[place[0]].channel_group.cycles_nr
-        return StoredArray(values, signal.unit or None, even_step(signal.timestamps), first=first, total=total)
+        total, step = file.groups[place[0]].channel_group.cycles_nr, even_step(signal.timestamps)
+        start = None if step is None else round(1e9 * (signal.timestamps[0] - (first or 0) * step))
+        clock = {"first": first, "total": total, "clock": place[0], "start_ns": start}
+        return StoredArray(values, signal.unit or None, step, **clock)
 
     def get(name: str, part: FilePart = ALL) -> StoredArray:
         places = known.get(name, [])
@@ -720,14 +733,22 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
 
 def _stored_tdms(channel: Any, part: FilePart = ALL) -> StoredArray:
-    """Return the values of a channel with its unit, and its increment as sample time; without time it is 0 or none."""
+    """Return the values of a channel with its unit, and its increment as sample time; without time it is 0 or none.
+
+    The first sample was taken `wf_start_offset` after `wf_start_time`.
+    """
     rows, first = rows_of(part)
     values, step = channel[rows], channel.properties.get("wf_increment")
     if getattr(values, "dtype", np.dtype(object)).kind in "mM":
         values = seconds(values)
     unit = next((str(channel.properties[key]) for key in _TDMS_UNITS if key in channel.properties), None)
     sample_time = float(step) if isinstance(step, float | int) and step > 0 else None
-    return StoredArray(values, unit, sample_time, first=first, total=len(channel))
+    begin, offset = (channel.properties.get(f"wf_start_{key}") for key in ("time", "offset"))
+    start = None
+    if sample_time is not None and (begin is not None or offset is not None):
+        start = 0 if begin is None else int(np.datetime64(begin, "ns").astype(int))
+        start += round(1e9 * offset) if isinstance(offset, float | int) and isfinite(offset) else 0
+    return StoredArray(values, unit, sample_time, first=first, total=len(channel), start_ns=start)
 
 
 TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)

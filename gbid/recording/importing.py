@@ -17,7 +17,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special, sha256_of
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
-from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
+from gbid.recording.clock import has_one_clock, joined, on_grid, read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.formats import file_formats, format_of, iddata_in
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
@@ -63,7 +63,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     reader = file_format(path, mapping.text_options, mapping.part).read
     try:
         digest = sha256_of(path)
-        columns = reader(path, mapping.all_columns())
+        columns = joined(path, _whole(path, mapping, reader(path, mapping.all_columns())))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:
@@ -170,6 +170,14 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
             )
         )
     return recordings
+
+
+def _whole(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> dict[str, FileColumn]:
+    """Return the columns, of which all samples are read again where clocks differ: they are cut by their times."""
+    if has_one_clock(columns) or all(column.first is None for column in columns.values()):
+        return columns
+    reader = file_format(path, mapping.text_options, FilePart(mapping.axis)).read
+    return reader(path, mapping.all_columns())
 
 
 def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:
@@ -412,7 +420,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
             seen = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
             if seen is not None:
                 return seen
-        columns = kind.read(path, mapping.all_columns())
+        columns = joined(path, _whole(path, mapping, kind.read(path, mapping.all_columns())))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     start, columns = in_range(path, mapping, columns)
@@ -424,7 +432,9 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
 
 
 def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:
-    """Return length and sample time by the first rows and the last one; None where they show a gap of the clock."""
+    """Return length and sample time by the first rows and the last one; None where there may be gaps or clocks."""
+    if any(column.clock is not None for column in columns.values()):
+        return None
     if mapping.time is None:
         sample_time = untimed_sample_time(path, mapping, columns)
     else:

@@ -130,6 +130,8 @@ class StoredArray(NamedTuple):
         Number of the first sample of `values`, where they are some of the samples.
     total : int or None
         Number of all samples, where `values` are some of them.
+    clock, start_ns : int or None
+        As of a `FileColumn`.
     """
 
     values: Any
@@ -139,6 +141,8 @@ class StoredArray(NamedTuple):
     remark: str = ""
     first: int | None = None
     total: int | None = None
+    clock: int | None = None
+    start_ns: int | None = None
 
 
 ALL = FilePart()
@@ -219,8 +223,15 @@ def _read_arrays(
                     text = f"samples {part.samples[0]} to {part.samples[1]} are not within its {stored.total} samples"
                     raise DataError(f"{path}: {name}: {text}")
             values = pick_column(path, reference, stored.values, part.axis, is_part=stored.first is not None)
-            columns[reference] = FileColumn(values, stored.unit, stored.sample_time, first=stored.first)
-    if len(set(totals.values())) > 1:
+            columns[reference] = FileColumn(
+                values,
+                stored.unit,
+                stored.sample_time,
+                first=stored.first,
+                clock=stored.clock,
+                start_ns=stored.start_ns,
+            )
+    if len(set(totals.values())) > 1 and any(column.start_ns is None for column in columns.values()):
         text = ", ".join(f"{name} {total}" for name, total in totals.items())
         raise DataError(f"{path}: columns have different numbers of samples: {text}")
     return columns

@@ -23,6 +23,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError
 from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
+from gbid.recording.clock import MAX_RESAMPLED, even_step
 from gbid.recording.columns import (
     find_heading,
     is_file_unit,
@@ -425,14 +426,20 @@ class _Candidate:
         self.count, alike = Counter(len(row) for row in tail).most_common(1)[0] if tail else (0, 0)
         rows = [row for row in tail if len(row) == self.count]
         self.numeric = [i for i in range(self.count) if self._is_numeric([row[i] for row in rows])]
+        spread = [split_cells(line.text, delimiter) for line in content[1 :: max(1, len(content) // _SPREAD)]]
+        rows += [row for row in spread if len(row) == self.count and all(_is_value(c, decimal) for c in row if c)]
         self.open_end = bool(rows) and self.count > 1 and not any(row[-1] for row in rows)
         self.filled = [i for i in range(self.count) if any(row[i] for row in rows)]
         self.empty = sorted(set(range(self.count)).difference(self.filled))
         others = len(self.filled) - len(self.numeric)
-        spread = content[1 :: max(1, len(content) // _SPREAD)]
-        numbers = sum(_is_value(cell, decimal) for line in spread for cell in split_cells(line.text, delimiter))
+        numbers = sum(_is_value(cell, decimal) for row in spread for cell in row)
         numeric = len(self.numeric)
         self.rank = (bool(numeric), alike >= _MOST * len(tail), numeric - others if numeric else self.count, numbers)
+
+    def _has_numbers(self, row: list[str]) -> bool:
+        """Return whether cells in the columns of numbers are numbers or empty, and not all empty."""
+        filled = [row[i] for i in self.numeric if row[i]]
+        return bool(filled) and all(_is_value(cell, self.decimal) for cell in filled)
 
     def _is_numeric(self, cells: list[str]) -> bool:
         filled = [cell for cell in cells if cell]
@@ -452,8 +459,7 @@ class _Candidate:
         row = self.cells(text)
         if row is None or not self.numeric or any(row[i] for i in self.empty if i < len(row)):
             return False
-        filled = [row[i] for i in self.numeric if row[i]]
-        return bool(filled) and all(_is_value(cell, self.decimal) for cell in filled)
+        return self._has_numbers(row)
 
     def is_names(self, text: str) -> bool:
         """Return whether a line may hold the names of the columns."""
@@ -504,7 +510,9 @@ def _with_header(
     start = first
     while start > 0 and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
-    named = [i for i in [*range(start, first), *range(min(start, _BLOCK_LINES))] if columns.is_names(content[i].text)]
+    direct = [i for i in range(start, first) if columns.is_names(content[i].text)]
+    named = _without_values_below(columns, content, direct)
+    named += [i for i in range(min(start, _BLOCK_LINES)) if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
     header = next((line for line in reversed(above) if columns.is_names(without_mark(line.text))), None)
     sure = [i for i in named if not (_repeats(columns, content[i]) and columns.is_units(content[i].text))]
@@ -519,6 +527,23 @@ def _with_header(
         return layout(content[at], unit_line, rows_from, block)
     units = next((line for line in content[start:first] if columns.is_units(line.text)), None)
     return layout(header, units if header else None, rows_from)
+
+
+def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
+    """Return the lines of names that no line of values follows before the last one.
+
+    A block of an oscilloscope has lines such as ``Vertical Units,V,A`` above ``Vertical Offset,0,0``.
+    """
+    names = [i for i in named if not columns.is_units(content[i].text)]
+    if len(names) < 2:
+        return named
+    with_values = [
+        i
+        for i in range(names[0], names[-1])
+        if any(_is_value(cell, columns.decimal) for cell in columns.cells(content[i].text) or ())
+    ]
+    last = max(with_values, default=-1)
+    return [i for i in named if i > last]
 
 
 def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
@@ -620,7 +645,7 @@ class TextTable:
         twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == reference]
         if not twins or reference in self.headings:
             return find_heading(self.path, self.headings, reference)
-        if not self.are_equal(twins):
+        if not self.are_equal(twins) and not set(twins) <= self.clocks.keys():
             raise DataError(
                 f"{self.path}: column {reference!r} occurs {len(twins)} times with different numbers; name one, "
                 f"{self.headings[twins[0]]!r} to {self.headings[twins[-1]]!r}"
@@ -632,22 +657,24 @@ class TextTable:
         values = self.columns(indices)
         return all(np.array_equal(values[:, 0], other, equal_nan=True) for other in values.T)
 
-    def check_clock(self, time: int, indices: Sequence[int]) -> None:
-        """Check that columns have the times of a given time column, where there is one for each channel.
+    @cached_property
+    def clocks(self) -> dict[int, FloatArray]:
+        """Times of the time columns, by index, where there are several of one name with different times, else none.
 
-        Raises
-        ------
-        DataError
-            When the last time column of the same name before one of them has other times.
+        In such files each channel, or group of channels, has its time column before it, which may end earlier than the
+        others.
         """
-        twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == twin_name(self.headings[time])]
-        for index in set(indices) - set(twins):
-            clock = max((i for i in twins if i < index), default=time)
-            if twin_name(self.headings[time]) and not self.are_equal([time, clock]):
-                raise DataError(
-                    f"{self.path}: column {self.headings[index]!r} has the times {self.headings[clock]!r}, which "
-                    f"differ from {self.headings[time]!r}; import columns of one clock together"
-                )
+        names = Counter(twin_name(heading) for heading in self.headings)
+        for name in (name for name, count in names.items() if name and count > 1):
+            twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == name]
+            try:
+                times = [each[~np.isnan(each)] for each in self.columns(twins).T]
+            except DataError:  # texts
+                continue
+            is_time = all(even_step(each[:-1], MAX_RESAMPLED) for each in times)  # the last one may be that of the file
+            if is_time and not all(np.array_equal(times[0], each) for each in times[1:]):
+                return dict(zip(twins, times, strict=True))
+        return {}
 
     def columns(self, indices: Sequence[int]) -> FloatArray:
         """Return columns as numbers, (n_rows, n_columns).

@@ -193,10 +193,6 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
     names = numbered_twins([output if timed else f"{output} / {source}" for output, source, timed in points])
     known = {name: k for k, name in enumerate(names)}
     over_time = [k for k, timed in enumerate(is_time) if timed]
-    starts: dict[float, float] = {}
-    for k in over_time:
-        if sets[k]["abscissa_spacing"]:
-            starts.setdefault(float(sets[k]["abscissa_inc"]), float(sets[k]["abscissa_min"]))
 
     def get(name: str, part: FilePart = ALL) -> StoredArray:
         rows, first = rows_of(part)
@@ -209,12 +205,10 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
         timed = is_time[known[name]]
         fault = remark = "" if timed else "no function of time; frequency responses are for a fit's responses"
         step = float(each["abscissa_inc"]) if each["abscissa_spacing"] and timed else None
-        begin = float(each["abscissa_min"])
-        if step is not None and abs(begin - starts[step]) > 0.01 * step:
-            fault = f"begins at {begin:g} s, another one at {starts[step]:g} s; import them from files of their own"
+        start = None if step is None else round(1e9 * float(each["abscissa_min"]))
         (read,) = read_rows(path, rows, [known[name]])
         unit = None if unit in ("", "NONE") else unit
-        return StoredArray(read["data"], unit, step, fault, remark, first, each["num_pts"])
+        return StoredArray(read["data"], unit, step, fault, remark, first, each["num_pts"], start_ns=start)
 
     def times(rows: slice) -> FloatArray | None:
         """Return the times that all functions share; None where they do not."""

@@ -109,10 +109,14 @@ def test_what_is_missing_or_damaged_is_refused(tmp_path):
     twice = written(tmp_path / "twice.unv", *[function(4, G[i], F) for i in range(2)])
     with pytest.raises(DataError, match="has the response of 1x to 9z twice"):
         FrequencyData.read(twice, std=1.0)
-    delayed = [function(1, X, begin + DT * np.arange(300), node) for node, begin in ((1, 0.0), (2, 0.1))]
-    path = written(tmp_path / "late.unv", *delayed)
-    with pytest.raises(DataError, match=r"begins at 0\.1 s, another one at 0 s"):
-        gbid.import_recording(path, {"signals": {"a": {"columns": ["1x", "2x"], "unit": "N", "stored_unit": "N"}}})
+    mapping = {"signals": {"a": {"columns": ["1x", "2x"], "unit": "N", "stored_unit": "N"}}}
+    for name, late in (("whole", 100 * DT), ("part", 0.1)):
+        delayed = [function(1, X, begin + DT * np.arange(300), node) for node, begin in ((1, 0.0), (2, late))]
+        path = written(tmp_path / f"{name}.unv", *delayed)
+    with pytest.raises(DataError, match="of a sample off the others"):
+        gbid.import_recording(path, mapping)
+    aligned = gbid.import_recording(tmp_path / "whole.unv", mapping)
+    np.testing.assert_allclose(aligned.signal("a"), np.column_stack([X[100:], X[:200]]), rtol=1e-10)
     with pytest.raises(DataError, match="holds no frequency responses"):
         FrequencyData.read(path, std=1.0)
     with pytest.raises(UsageError, match=r"has no coherence.* give std"):
