@@ -108,7 +108,6 @@ class SurfaceNote(NoteKind):
     LACK_OF_FIT = "GB302"
     NEGATIVE_DELAY = "GB303"
     NOT_SETTLED = "GB304"
-    GAIN_HELD = "GB305"
     HELD_AT_MEAN = "GB306"
     SCATTER_UNSEEN = "GB307"
 

@@ -2,6 +2,7 @@
 
 from .direct import (
     fit_lpv_direct as fit_lpv_direct,
+    lpv_of as lpv_of,
 )
 from .estimates import (
     Estimates as Estimates,
@@ -10,7 +11,6 @@ from .fit import (
     LPVFit as LPVFit,
     fit_lpv as fit_lpv,
     load_lpv_fit as load_lpv_fit,
-    lpv_of as lpv_of,
     save_lpv_fit as save_lpv_fit,
 )
 from .model import (

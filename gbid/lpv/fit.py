@@ -23,14 +23,12 @@ from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.estimates import Estimates, Order, as_estimates, covariance_of, orthonormal
+from gbid.lpv.estimates import Estimates, Order, as_estimates, orthonormal
 from gbid.lpv.model import (
-    ACTUATOR_PARAMETERS,
     EXPONENTS,
     SCHEDULING,
     TERMS,
     Deviation,
-    Domain,
     LPVModel,
     characteristics,
     deviations,
@@ -439,83 +437,6 @@ def _negative_delays(model: LPVModel) -> tuple[str, ...]:
         )
         for key in delays
         if values[key][at := int(np.argmin(values[key]))] < 0
-    )
-
-
-# ---- Surfaces of a gas bearing from the fit of a scheduled structure (paper, Eqs. 16 to 18).
-
-
-def lpv_of(
-    result: FitResult,
-    *,
-    actuators: Mapping[str, float] | None = None,
-    name: str = "lpv",
-    title: str = "",
-    source: str = "",
-) -> LPVFit:
-    """Return the fit of a scheduled structure as an LPV fit in bar and rpm, for tuning, figures and reports.
-
-    Parameters
-    ----------
-    result : FitResult
-        Fit of ``gbid.scheduled(...)`` with the fourteen key parameters over pressure_bar and speed_rpm.
-    actuators : dict of str to float, optional
-        Actuators of the model; by default those of the fit of a `Plant`.
-    name, title, source : str
-        Texts for the model.
-
-    Returns
-    -------
-    LPVFit
-        Coefficients in bar and rpm with their covariance. There are no estimates of single recordings and no scatter
-        between them.
-
-    Raises
-    ------
-    UsageError
-        When the fit is of another structure, or did not converge.
-    """
-    schedule = result.schedule
-    if schedule is None:
-        raise UsageError(
-            f"the fit of {result.structure!r} has constant parameters; surfaces through several fits: gbid.fit_lpv"
-        )
-    if schedule.variables != SCHEDULING or schedule.surfaces != KEY_PARAMETERS:
-        raise UsageError(
-            f"the fit has {', '.join(schedule.surfaces)} over {', '.join(schedule.variables)}; an LPV model of a gas "
-            f"bearing has the fourteen key parameters over {', '.join(SCHEDULING)}"
-        )
-    if not result.success:
-        raise UsageError(f"the fit did not converge ({result.status}); its surfaces cannot be used")
-    onto = in_terms(schedule.to_own_units, schedule.exponents)
-    names = [name for key in KEY_PARAMETERS for name in schedule.names(key)]
-    scaled = np.array([result.parameters[name] for name in names]).reshape(len(KEY_PARAMETERS), -1)
-    known = set(ACTUATOR_PARAMETERS) <= set(result.parameters)  # not those of PiezoPair(poles="any")
-    fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS} if known else {}
-    model = LPVModel(
-        name,
-        _rows(KEY_PARAMETERS, scaled @ onto.T),
-        Domain(*zip(schedule.low, schedule.high, strict=True)),
-        actuators=fitted if actuators is None else actuators,
-        pade_order=schedule.pade_order,
-        title=title,
-        source=source,
-    )
-    k = len(KEY_PARAMETERS)
-    return LPVFit(
-        model,
-        in_units_of_terms(covariance_of(result, names), onto),
-        np.zeros((k, k)),
-        Estimates((), np.zeros((0, 2)), np.zeros((0, k)), np.zeros((0, k, k))),
-        options={
-            "method": "scheduled",
-            "structure": result.structure,
-            "focus": result.options.focus,
-            "recordings": str(len(result.recordings)),
-            "pieces": str(schedule.pieces),
-        },
-        status=result.status,
-        notes=result.notes,
     )
 
 

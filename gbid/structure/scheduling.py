@@ -149,26 +149,21 @@ class ScheduledStructure(OnBase, Brief):
         Signals, or conditions of recordings in which they are constant.
     surfaces : tuple of str
         Parameters that are polynomials; the others are constant.
-    order : int
-        Order of the polynomials.
+    exponents : tuple of tuple of int
+        Powers of the scheduling variables in each term, with all lower powers of each.
     piece_s : float
         Longest time with constant parameters [s].
     """
 
     scheduling: tuple[str, ...]
     surfaces: tuple[str, ...]
-    order: int
+    exponents: Exponents
     piece_s: float
 
     @property
     def name(self) -> str:
         """Name of the structure."""
         return f"scheduled {self.base.name}"
-
-    @property
-    def exponents(self) -> Exponents:
-        """Powers of the scheduling variables in each term."""
-        return exponents_of(self.order, len(self.scheduling))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -231,4 +226,4 @@ def scheduled(
     if not chosen or (unknown := [name for name in chosen if name not in names]):
         text = ", ".join(unknown) if chosen else "none"
         raise UsageError(f"surfaces: {text}; the structure {structure.name!r} has {', '.join(names)}")
-    return ScheduledStructure(structure, variables, chosen, order, piece_s)
+    return ScheduledStructure(structure, variables, chosen, exponents_of(order, len(variables)), piece_s)

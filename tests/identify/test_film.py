@@ -104,7 +104,7 @@ def test_film_is_for_fits_of_the_bearing_alone():
         gbid.RotorBearing(film="cubic")
     with pytest.raises(UsageError, match="fits of the bearing alone"):
         gbid.Plant(STRUCTURE)
-    with pytest.raises(UsageError, match="straight from the recordings are for linear structures"):
+    with pytest.raises(UsageError, match="is nonlinear; use fit_lpv"):
         gbid.fit_lpv_direct(
             [gbid.Recording({"u": np.ones((9, 2)), "p": np.ones((9, 2))}, 1e-3, name="a")],
             gbid.load_model("theisen2016"),

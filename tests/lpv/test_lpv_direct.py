@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from still_rig import EXACT, FIXED, recorded
-from study_rig import PAPER, POINTS, truth_at
+from study_rig import PAPER, POINTS
 
 import gbid
-from gbid.control import p_controller, sample_controller
 from gbid.core.errors import DataError, UsageError
 from gbid.lpv import LPVModel
-from gbid.rig import SampledController
-from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
+from gbid.structure import KEY_PARAMETERS, PiezoPair, RotorBearing
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +36,13 @@ def constant(values):
     return LPVModel("flat", {key: (values[key], 0, 0, 0, 0, 0) for key in KEY_PARAMETERS}, PAPER.domain)
 
 
-@pytest.mark.parametrize(("focus", "local"), [("simulation", {}), ("prediction", {"bd_xx": "recording"})])
-def test_flat_surfaces_are_a_joint_fit(one_point, focus, local):
+@pytest.mark.parametrize("focus", ["simulation", "prediction"])
+def test_flat_surfaces_are_a_joint_fit(one_point, focus):
     """With the constant term alone, a machine that repeats itself has the shared parameters of an ordinary fit."""
     structure = RotorBearing(disturbance_gain="none" if focus == "simulation" else "full")
     gains = {} if focus == "simulation" else {"bd_xy": 0.0, "bd_yx": 0.0, "bd_yy": 0.0}
-    noisy = [_with_gusts(r, i) for i, r in enumerate(one_point)] if local else one_point
-    joint = gbid.fit(structure, noisy, focus=focus, local=local, fixed=gains, criterion="trace")
+    noisy = one_point if focus == "simulation" else [_with_gusts(r, i) for i, r in enumerate(one_point)]
+    joint = gbid.fit(structure, noisy, focus=focus, fixed=gains)
     assert joint.success
     start = constant({key: 1.01 * joint.parameters[key] for key in KEY_PARAMETERS})
     flat = gbid.fit_lpv_direct(noisy, start, structure=structure, focus=focus, fixed=gains, scatter=False)
@@ -68,7 +66,6 @@ def test_delays_of_recordings_are_kept_from_below_zero(scattered, repeating):
     start, steps = replace(PAPER, coefficients=shifted), []
     options = {"structure": EXACT, "focus": "simulation", "fixed": FIXED, "scatter": False}
     assert computed.success
-    assert 0 < int(computed.options["iterations"]) <= len(first)
     assert gbid.fit_lpv_direct(scattered, start, progress=steps.append, **options).success
     assert steps[-1].cost == pytest.approx(first[-1].cost, abs=1e-8)
     delays = [computed.model.key_parameters(*point)[key] for point in POINTS for key in ("tau_x", "tau_y")]
@@ -100,97 +97,49 @@ def test_truth_lies_within_three_standard_deviations(scattered, repeating):
     assert scatter_std[0] == pytest.approx(0.01 * abs(middle["k_xx"]), rel=0.35)
 
 
-def test_recordings_have_structures_of_their_own(one_point):
-    """Piezo positions or references as inputs, six or four states: flat surfaces are where each half alone would be."""
+def test_surfaces_through_fits_of_several_structures(one_point):
+    """Piezo positions or references as inputs, six or four states: the surfaces are the weighted mean of the fits."""
     bearing = RotorBearing(disturbance_gain="none")
-    start, options = constant(truth_at(5.0, 4000.0)), {"focus": "simulation", "scatter": False}
-    structures = {one_point[0].name: EXACT, one_point[1].name: bearing, one_point[2].name: bearing}
-    mixed = gbid.fit_lpv_direct(one_point, start, structure=structures, fixed=FIXED, **options)
-    halves = [
-        gbid.fit(EXACT, one_point[:1], focus="simulation", fixed=FIXED, criterion="trace"),
-        gbid.fit(bearing, one_point[1:], focus="simulation", criterion="trace"),
+    fits = [
+        gbid.fit(EXACT, one_point[0], focus="simulation", fixed=FIXED),
+        *(gbid.fit(bearing, r, focus="simulation") for r in one_point[1:]),
     ]
-    assert mixed.success
-    assert mixed.options["structure"] == "plant, rotor_bearing"
-    keys = list(KEY_PARAMETERS)
-    places = [[half.free.index(key) for key in keys] for half in halves]
-    noise = [half.covariance - (0 if s is None else np.outer(s, s)) for half in halves for s in [half.hold_shift]]
-    weights = [np.linalg.inv(each[np.ix_(at, at)]) for each, at in zip(noise, places, strict=True)]  # not of the bias
-    values = [np.array([half.parameters[key] for key in keys]) for half in halves]
+    surfaces = gbid.fit_lpv(fits, [(5.0, 4000.0)] * 3, order=0, weighting="fits")
+    places = [[each.free.index(key) for key in KEY_PARAMETERS] for each in fits]
+    weights = [np.linalg.inv(each.covariance[np.ix_(at, at)]) for each, at in zip(fits, places, strict=True)]
+    values = [np.array([each.parameters[key] for key in KEY_PARAMETERS]) for each in fits]
     mean = np.linalg.solve(sum(weights), sum(w @ v for w, v in zip(weights, values, strict=True)))
-    std = np.sqrt(np.diag(np.linalg.inv(sum(weights))))
-    computed = np.array([mixed.model.coefficients[key][0] for key in keys])
-    assert (np.abs(computed - mean) < 0.5 * std).all()
-    with pytest.raises(UsageError, match="structure: no recording 'r9'"):
-        gbid.fit_lpv_direct(one_point, start, structure={"r9": EXACT})
-    with pytest.raises(UsageError, match=r"structure 'rotor_bearing' has no p1_x, .* which another has"):
-        gbid.fit_lpv_direct(one_point, start, structure=structures)
+    np.testing.assert_allclose([surfaces.model.coefficients[key][0] for key in KEY_PARAMETERS], mean, rtol=1e-6)
 
 
-def test_rounds_that_do_not_settle_are_said(one_point, monkeypatch):
-    """The scatter between recordings and the surfaces follow from each other in rounds; one round is too few here."""
-    start = constant({key: 1.01 * value for key, value in truth_at(5.0, 4000.0).items()})
-    options = {"structure": RotorBearing(disturbance_gain="none"), "focus": "simulation"}
-    settled = gbid.fit_lpv_direct(one_point, start, **options)
-    assert 1 < int(settled.options["rounds"]) < 5  # it ends before the last one
-    assert not [note for note in settled.notes if "GB304" in note]
-    monkeypatch.setattr("gbid.lpv.direct._ROUNDS", 1)
-    stopped = gbid.fit_lpv_direct(one_point, start, **options)
-    assert [note for note in stopped.notes if "GB304" in note and "after 1 rounds the coefficients" in note]
-
-
-@pytest.mark.slow
-def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
-    """The loops are simulated from what is injected: noise that the controller feeds back is no input."""
-    controller = sample_controller(p_controller(1.0, 0.9), 2e-4)
-    running = SampledController(controller.A, controller.B, controller.C, controller.D, 2e-4)
-    held = [recorded((5.0, 4000.0), i, controller=running) for i in (3, 4)]
-    loop = gbid.ClosedLoop(EXACT, controller, inputs="w", pade_order=1)
-    start, truth = constant(truth_at(5.0, 4000.0)), truth_at(5.0, 4000.0)
-    structures = {recording.name: loop if recording in held else EXACT for recording in (*one_point, *held)}
-    surfaces = gbid.fit_lpv_direct(
-        [*one_point, *held],
-        replace(start, coefficients={key: (1.01 * row[0], *row[1:]) for key, row in start.coefficients.items()}),
-        structure=structures,
-        focus="simulation",
-        fixed=FIXED,
-        scatter=False,
-    )
-    assert surfaces.success
-    std = np.sqrt(np.diag(surfaces.covariance)).reshape(14, 6)[:, 0]
-    away = [(surfaces.model.coefficients[key][0] - truth[key]) / s for key, s in zip(KEY_PARAMETERS, std, strict=True)]
-    assert np.abs(away).max() < 4
-
-
-def test_each_recordings_own_estimate_is_that_of_its_single_fit():
-    """One step from the shared solution arrives where a fit of the recording alone ends."""
+def test_terms_of_the_start_are_those_of_the_surfaces():
+    """At one speed only the pressure has terms; the estimates of the recordings are those of fits of each alone."""
     rng, terms = np.random.default_rng(4), ("1", "P")
     points = np.repeat([(3.0, 0.0), (7.0, 0.0)], 6, axis=0).tolist()
     recordings = [recorded(p, i, n=500, scatter=0.005, noise=1e-10, rng=rng) for i, p in enumerate(points)]
-    fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED, criterion="trace") for r in recordings]
+    fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED) for r in recordings]
     two = gbid.fit_lpv(fits, points, order=terms, actuators=PAPER.actuators)
     one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus="simulation", fixed=FIXED)
     apart = np.abs(one.estimates.values - two.estimates.values) / np.sqrt(np.diag(two.scatter))
     assert apart.max() < 0.02
-    again = gbid.fit_lpv(one.estimates, order=terms)
     std = np.sqrt(np.diag(two.covariance)).reshape(14, 6)[:, :2]
-    assert np.abs((one.coefficients - again.coefficients)[:, :2] / std).max() < 0.05
+    assert np.abs((one.coefficients - two.coefficients)[:, :2] / std).max() < 0.05
     assert (one.coefficients[:, 2:] == 0).all()
-    assert one.orders == two.orders
+    assert one.options["method"] == "direct"
 
 
 def test_bad_input_is_refused(scattered):
     with pytest.raises(DataError, match="states no pressure_bar and speed_rpm"):
         gbid.fit_lpv_direct([replace(scattered[0], conditions={})], PAPER)
-    with pytest.raises(DataError, match="several recordings are named 'r0'"):
-        gbid.fit_lpv_direct([scattered[0], scattered[0]], PAPER)
-    with pytest.raises(DataError, match="2 operating points for 6 terms"):
+    with pytest.raises(DataError, match="do not determine the 6 terms"):
         gbid.fit_lpv_direct(scattered[:4], PAPER)
+    with pytest.raises(UsageError, match="k_xx is a surface"):
+        gbid.fit_lpv_direct(scattered, PAPER, fixed={"k_xx": 1.0})
+    with pytest.raises(UsageError, match="'piezo_pair' has no k_xx"):
+        gbid.fit_lpv_direct(scattered, PAPER, structure=PiezoPair())
+    with pytest.raises(UsageError, match="is nonlinear; use fit_lpv"):
+        gbid.fit_lpv_direct(scattered, PAPER, structure=RotorBearing(film="stiffening"))
     delayed = PAPER.coefficients["tau_x"]
     early = replace(PAPER, coefficients={**PAPER.coefficients, "tau_x": (delayed[0] - 1e-3, *delayed[1:])})
     with pytest.raises(DataError, match=r"tau_x = -0\.\d+ ms at .* bar, .* rpm, and no delay is negative"):
         gbid.fit_lpv_direct(scattered, early, structure=EXACT, fixed=FIXED)
-    with pytest.raises(UsageError, match="k_xx is a surface"):
-        gbid.fit_lpv_direct(scattered, PAPER, fixed={"k_xx": 1.0})
-    with pytest.raises(UsageError, match="no start for p1_x"):
-        gbid.fit_lpv_direct(scattered, replace(PAPER, actuators={}), structure=Plant())

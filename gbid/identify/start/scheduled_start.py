@@ -22,7 +22,7 @@ from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure
 from gbid.structure.built_in import pade_order_of
-from gbid.structure.scheduling import Schedule, ScheduledStructure, coefficient_names
+from gbid.structure.scheduling import Schedule, ScheduledStructure, coefficient_names, term_name
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
 
@@ -140,9 +140,10 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
             f"{name} from {low:g} to {high:g}"
             for name, low, high in zip(schedule.variables, schedule.low, schedule.high, strict=True)
         )
+        terms = ", ".join(term_name(e, schedule.variables) for e in schedule.exponents)
         raise DataError(
-            f"{structure.name}: the recordings ({ranges}) do not determine the {len(schedule.exponents)} terms of "
-            f"order {structure.order}; add recordings in which the variables change differently, or lower the order"
+            f"{structure.name}: the recordings ({ranges}) do not determine the {len(schedule.exponents)} terms "
+            f"({terms}); add recordings in which the variables change differently, or lower the order"
         )
     return courses
 
