@@ -26,7 +26,7 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.published import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
 from gbid.core.tables import finite_or_none
 from gbid.core.yaml_file import read_yaml
-from gbid.experiment.controllers import rig_time
+from gbid.experiment.controllers import sample_time
 from gbid.experiment.fields import needed
 from gbid.experiment.machine import rig_run
 from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics, fit_lpv, load_machine
@@ -301,7 +301,7 @@ def _modes(model: LPVModel, results: Results) -> dict[str, FloatArray]:
 
 def _running(model: LPVModel, results: Results, computation_s: float | None = None) -> dict[str, FloatArray]:
     """Return the same of the loops with exact delays and the sampled controller; one sample of computation if None."""
-    plant, rate = exact_plant(model, *POINT), rig_time(results.experiment)
+    plant, rate = exact_plant(model, *POINT), sample_time(results.experiment)
     sampled = sample_controller(published_controller(results.published_machine), rate)
     closed = ringing_modes(plant, sampled, computation_s=computation_s)
     return {"open": np.array(ringing_modes(model.plant_at(*POINT))), "closed": np.array(closed)}
@@ -845,7 +845,7 @@ ANSWERS: dict[str, Callable[[Results], Answer]] = {
 
 def computation_rows(results: Results) -> list[list[str | float]]:
     """Return the closed-loop modes at the point of the paper: printed, and of its model by time of computation."""
-    rate = rig_time(results.experiment)
+    rate = sample_time(results.experiment)
     machine = results.published_machine
     rows: list[list[str | float]] = []
     for kind in ("expected", "measured"):
@@ -901,7 +901,7 @@ def alternative_designs(results: Results) -> list[list[str | float]]:
     The dampings are those of the controller tuned for the reading, for the first one, and for all of them.
     """
     models = results.published_machine.alternatives
-    options: dict[str, Any] = {"peak_sensitivity": _CAP, "sample_time": rig_time(results.experiment)}
+    options: dict[str, Any] = {"peak_sensitivity": _CAP, "sample_time": sample_time(results.experiment)}
     designs = [tune(model, **options) for model in models.values()]
     others = designs[0], tune(list(models.values()), **options)
     rows: list[list[str | float]] = []

@@ -17,7 +17,7 @@ import gbid
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError
 from gbid.experiment.controllers import controller_at, loop_of
-from gbid.experiment.fields import needed
+from gbid.experiment.fields import Item, needed
 from gbid.experiment.machine import PlannedRun, rig_run
 from gbid.experiment.run import Job, Task, run_tasks
 from gbid.experiment.stages.impact import planned_impacts, recording_result
@@ -71,8 +71,7 @@ def _task(results: Results, loop: str, i: int) -> Task:
     impacts = [impact for impact in planned_impacts(experiment).values() if impact.loop == loop]
     sources = [recording_result(experiment, impact) for impact in impacts]
     name = f"{loop}_{i:02d}"
-    path = results.job.path("impacts_again", name, ".csv")
-    result = experiment.result("impacts again", name, path, settings, sources)
+    result = experiment.result(Item("impacts again", name), "impacts_again", settings, sources, ending=".csv")
     write = partial(write_shipped, module=Path(__file__).stem, function=write_modes.__name__, loop=loop, i=i, lags=lags)
     return Task.of(result, write)
 

@@ -30,7 +30,7 @@ from gbid.control.impact.study import response_rows
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, NoSpaceError, UsageError
 from gbid.core.tables import Column, Entry, Table, csv_text, formatted, markdown_table, plain_table
-from gbid.experiment.fields import InputError, Result, content_key, stored_key
+from gbid.experiment.fields import InputError, Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, Task, produce, run_tasks
 from gbid.lpv import TERMS
 from gbid.report.canvas import save_figure
@@ -398,7 +398,11 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
         key = content_key(REPRODUCTION, settings, sources)
         text = partial(_with_key, write, ending, key)
         outcomes.append(
-            produce(job, Result(REPRODUCTION, f"{REPRODUCTION}{ending}", path, key), partial(_write_text, text))
+            produce(
+                job,
+                Result(Item(REPRODUCTION, REPRODUCTION, form=f"{{}}{ending}"), path, key),
+                partial(_write_text, text),
+            )
         )
     return outcomes, document
 
@@ -457,7 +461,7 @@ def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcom
 
 def _figure_file(job: Job, name: str, kind: str, sources: list[str]) -> Result:
     key = content_key("paper figure", {"name": name, "kind": kind}, sources)
-    return Result("figure", f"{name}.{kind}", job.path(FOLDER, name, f".{kind}"), key)
+    return Result(Item("figure", name, form=f"{{}}.{kind}"), job.path(FOLDER, name, ending=f".{kind}"), key)
 
 
 def _figure_task(name: str, files: Sequence[Result]) -> Task:
@@ -505,7 +509,8 @@ def _table(
     for ending, text in ((".csv", csv_text(table)), (".md", markdown_table(table))):
         key = content_key("paper table", {"name": name, "kind": ending, "text": text}, sources)
         write = partial(_write_text, partial(_with_key, partial(str, text), ending, key))
-        outcomes.append(produce(job, Result("table", f"{name}{ending}", job.path(FOLDER, name, ending), key), write))
+        item = Item("table", name, form=f"{{}}{ending}")
+        outcomes.append(produce(job, Result(item, job.path(FOLDER, name, ending=ending), key), write))
     return outcomes
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from gbid.cli.printing import tell
 from gbid.core.names import printable
+from gbid.experiment.fields import Item
 from gbid.experiment.run import Outcome, Reporter
 
 if TYPE_CHECKING:
@@ -51,8 +52,8 @@ class Tally:
     done: int = 0
     failed: int = 0
     stuck: int = 0
-    _running: set[str] = field(default_factory=set)
-    _worst: tuple[float, str] = (math.inf, "")
+    _running: set[Item] = field(default_factory=set)
+    _worst: tuple[float, Item | None] = (math.inf, None)
     _began: float = field(default_factory=time.monotonic)
 
     @property
@@ -65,14 +66,14 @@ class Tally:
         """Number of items in progress."""
         return len(self._running)
 
-    def begin(self, stage: str, item: str) -> None:
+    def begin(self, item: Item) -> None:
         """Count the start of an item, once also when it starts again."""
-        if stage == self.stage:
+        if item.stage == self.stage:
             self._running.add(item)
 
     def end(self, outcome: Outcome) -> None:
         """Count the outcome of an item."""
-        if outcome.stage != self.stage:
+        if outcome.item.stage != self.stage:
             return
         if outcome.item in self._running:  # existing and failed items and those without input were not started
             self._running.remove(outcome.item)
@@ -84,7 +85,7 @@ class Tally:
 
     def is_named(self, outcome: Outcome) -> bool:
         """Return whether an outcome gets its own line: the first failures of a stage, or all when it has few items."""
-        if not self.many or outcome.stage != self.stage:
+        if not self.many or outcome.item.stage != self.stage:
             return True
         listed = outcome.before or outcome.cause == "input"
         return outcome.state == "failed" and not listed and self.failed <= NAMED
@@ -131,7 +132,7 @@ def outcome_line(outcome: Outcome) -> str:
     took = f" ({outcome.seconds:.1f} s)" if outcome.state == "made" else ""
     state = "failed before" if outcome.before else outcome.state
     why = f": {outcome.text}" if outcome.text else ""
-    return f"{outcome.stage} {outcome.item}: {state}{took}{why}"
+    return f"{outcome.item.stage} {outcome.item}: {state}{took}{why}"
 
 
 # ---- Bar at the bottom of a terminal.
@@ -190,7 +191,7 @@ def is_first_cause(outcome: Outcome) -> bool:
 
 def in_short(failed: Iterable[Outcome]) -> str:
     """Return which results failed by themselves, such as ``import of 6 recordings failed``; empty without any."""
-    counts = Counter(outcome.stage for outcome in failed if is_first_cause(outcome))
+    counts = Counter(outcome.item.stage for outcome in failed if is_first_cause(outcome))
     return " and ".join(f"{stage} of {counted(stage, count)} failed" for stage, count in counts.items())
 
 
@@ -222,8 +223,8 @@ def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str,
     """
     roots = [outcome for outcome in failed if is_first_cause(outcome)]
     if not roots:
-        counts = Counter(outcome.stage for outcome in failed)
-        firsts = {outcome.stage: outcome for outcome in reversed(failed)}
+        counts = Counter(outcome.item.stage for outcome in failed)
+        firsts = {outcome.item.stage: outcome for outcome in reversed(failed)}
         return [
             _line(firsts[stage]) if count == 1 else f"error: {not_made(stage, count, firsts[stage].text)}"
             for stage, count in reversed(counts.items())
@@ -239,7 +240,7 @@ def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str,
 def _line(outcome: Outcome) -> str:
     word = "defect" if outcome.cause == "defect" else "error"
     again = " (failed in an earlier run; use --retry to try again)" if outcome.before else ""
-    return f"{word}: {outcome.stage} {outcome.item}: {outcome.text}{again}"
+    return f"{word}: {outcome.item.stage} {outcome.item}: {outcome.text}{again}"
 
 
 EVERY = 10
@@ -300,11 +301,11 @@ class ProgressReporter(Reporter):
         if self._tally.many:
             self._say(self._tally.opening())
 
-    def begin(self, stage: str, item: str) -> None:
+    def begin(self, item: Item) -> None:
         """Store the item to which the iterations belong."""
-        self._flush(stage)
-        self._label, self._tries, self._began = f"{stage} {item}", 0, time.monotonic()
-        self._tally.begin(stage, item)
+        self._flush(item.stage)
+        self._label, self._tries, self._began = f"{item.stage} {item}", 0, time.monotonic()
+        self._tally.begin(item)
         self._show(self._label)
 
     def iteration(self, progress: Progress) -> None:
@@ -330,7 +331,7 @@ class ProgressReporter(Reporter):
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""
         tally = self._tally
-        self._flush(outcome.stage)
+        self._flush(outcome.item.stage)
         tally.end(outcome)
         if outcome.state == "failed":
             self._failed.append(outcome)
@@ -338,8 +339,8 @@ class ProgressReporter(Reporter):
             self._idle.append(outcome)
         elif tally.is_named(outcome) or self._verbose:
             self._say(outcome_line(outcome))
-        self._show(f"{outcome.stage} {outcome.item}")
-        if not tally.many or outcome.stage != tally.stage or outcome.state == "kept" or not tally.todo:
+        self._show(f"{outcome.item.stage} {outcome.item}")
+        if not tally.many or outcome.item.stage != tally.stage or outcome.state == "kept" or not tally.todo:
             return
         now = time.monotonic()
         if tally.done == tally.todo or (self._bar is None and now - self._said > PAUSE):
@@ -362,7 +363,7 @@ class ProgressReporter(Reporter):
 
     def _flush(self, stage: str) -> None:
         """Tell of results that could not be made, once another stage begins."""
-        if self._idle and self._idle[0].stage != stage:
+        if self._idle and self._idle[0].item.stage != stage:
             why = in_short(self._failed) or self._idle[0].text
-            self._say(not_made(self._idle[0].stage, len(self._idle), why))
+            self._say(not_made(self._idle[0].item.stage, len(self._idle), why))
             self._idle.clear()

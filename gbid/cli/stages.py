@@ -81,8 +81,11 @@ _CODES = {"defect": GbidError.exit_code, "usage": UsageError.exit_code}
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Return outcomes as plain rows."""
-    keys = ("stage", "item", "state", "path", "converged", "text", "cause")
-    return [{**{key: getattr(o, key) for key in keys}, "failed_before": o.before} for o in outcomes]
+    keys = ("state", "path", "converged", "text", "cause")
+    return [
+        {"stage": o.item.stage, "item": str(o.item), **{k: getattr(o, k) for k in keys}, "failed_before": o.before}
+        for o in outcomes
+    ]
 
 
 def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = (), advice: str = "") -> None:
@@ -106,7 +109,7 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     codes += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
     code = min(codes, default=0)
     for o in stuck:
-        tell(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})")
+        tell(f"gbid: error: {o.item.stage} {o.item}: {o.text} (written to {o.path})")
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
         pair = f"crossval {row['fit']}: model of {row['model']} on {row['recording']}: {row['output']}"
         below = f"{row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %"
@@ -315,9 +318,9 @@ def list_items(path: Path, options: CommonOptions) -> None:
     """Print the item of each fit, and with ``--json`` its file; nothing is run or written."""
     tasks = fit_tasks(Job(options.load(path)))
     if options.as_json:
-        print_json({"fits": [{"item": task.item, "path": task.path} for task in tasks]})
+        print_json({"fits": [{"item": str(task.item), "path": task.path} for task in tasks]})
     else:
-        typer.echo("\n".join(task.item for task in tasks))
+        typer.echo("\n".join(str(task.item) for task in tasks))
 
 
 def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: str | None, collected: bool) -> None:

@@ -26,8 +26,8 @@ from gbid.core.index import NAME as INDEX
 from gbid.core.index import load_index, save_index
 from gbid.core.tables import write_csv
 from gbid.experiment.engines import make_engine
-from gbid.experiment.experiment import Experiment, fit_models, recordings_of
-from gbid.experiment.fields import stored_key
+from gbid.experiment.experiment import Experiment, fit_models
+from gbid.experiment.fields import Item, stored_key
 from gbid.experiment.run import (
     FAILED,
     Failure,
@@ -122,14 +122,18 @@ def tasks_for(job: Job, item: str) -> list[tuple[Stage, list[Task]]]:
     UsageError
         When there is no such fit.
     """
-    experiment, (fit, _, model) = job.experiment, item.partition("/")
-    if model not in (fit_models(experiment, fit) if fit in experiment.spec.fits else ()):
-        items = [f"{name}/{each}" for name in experiment.spec.fits for each in fit_models(experiment, name)]
+    experiment = job.experiment
+    items = {
+        str(Item("fit", fit, model)): recordings
+        for fit in experiment.spec.fits
+        for model, recordings in fit_models(experiment, fit).items()
+    }
+    if item not in items:
         raise UsageError(f"--one {item}: no such fit; {nearest(item, items)}")
-    names, part = with_needed(experiment, recordings_of(experiment, fit, model)), replace(experiment)
+    names, part = with_needed(experiment, items[item]), replace(experiment)
     vars(part)["recordings"] = {name: q for name, q in experiment.recordings.items() if name in names}
     early = early_tasks(replace(job, experiment=part))
-    return [(stage, [task for task in tasks if stage is not FIT or task.item == item]) for stage, tasks in early]
+    return [(stage, [task for task in tasks if stage is not FIT or str(task.item) == item]) for stage, tasks in early]
 
 
 def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
@@ -308,7 +312,7 @@ def run_campaign(job: Job, shard: Shard | None = None, one: str | None = None) -
         made = run_tasks(job, tasks, settled)
         for outcome in made:
             if outcome.state == "failed" and stage is not FIT:
-                failed.setdefault(outcome.item, outcome)
+                failed.setdefault(outcome.item.section, outcome)
         outcomes += made if shard is not None or one is not None or not made else go_on(job, stage, made)
     return outcomes
 
@@ -318,7 +322,7 @@ def _without_input(task: Task, failed: Mapping[str, Outcome]) -> Outcome | None:
     source = next((failed[name] for name in task.recordings if name in failed), None)
     if source is None:
         return None
-    return task.failed(Failure(task.key, "input", f"its input is missing: {source.stage} {source.item} failed"))
+    return task.failed(Failure(task.key, "input", f"its input is missing: {source.item.stage} {source.item} failed"))
 
 
 # ---- Files that a results folder can do without.
@@ -394,7 +398,7 @@ def collect(job: Job) -> tuple[identify.FitTable, list[Outcome]]:
     tasks = fit_tasks(job)
     states = _states(job, tasks)
     results = [
-        experiment.result("table", f"{TABLE}{ending}", experiment.path("", TABLE, ending), {"states": states}, tasks)
+        experiment.result(Item("table", TABLE, form=f"{{}}{ending}"), "", {"states": states}, tasks, ending=ending)
         for ending in (".h5", ".csv")
     ]
     if all(result.is_made for result in results):
@@ -434,7 +438,7 @@ def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
     if not all(made):
         earlier = [early for stage, early in early_tasks(job) if stage is not FIT]
         for source in chain.from_iterable(earlier):
-            sources.setdefault(source.item, []).append(source)
+            sources.setdefault(source.item.section, []).append(source)
     return [state or _why_not(job, task, sources) for state, task in zip(made, tasks, strict=True)]
 
 
@@ -446,5 +450,5 @@ def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
     for source in (source for name in task.recordings for source in sources.get(name, ())):
         failure = remembered_failure(job, source)
         if failure is not None:
-            return f"failed: {source.stage} {source.item}: {failure.text}"
+            return f"failed: {source.item.stage} {source.item}: {failure.text}"
     return NOT_MADE

@@ -15,7 +15,7 @@ from gbid import control, export, lpv
 from gbid.core.errors import UsageError, nearest
 from gbid.core.hdf5 import load
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import InputError, Result, about, file_digest, needed, stored_key
+from gbid.experiment.fields import InputError, Item, Result, about, file_digest, needed, stored_key
 from gbid.experiment.machine import PlannedRun, machine_data, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
 from gbid.experiment.schema import (
@@ -250,13 +250,10 @@ def _structure_text(experiment: Experiment, name: str | None) -> str:
     return (experiment.folder / file).read_text(errors="replace") if file else ""
 
 
-def sample_time(experiment: Experiment, section: ControllerSection) -> float:
-    """Return the sample time of the controller [s]."""
-    return section.sample_time_s or rig_time(experiment)
-
-
-def rig_time(experiment: Experiment) -> float:
-    """Return the sample time of controllers that state none: that of the rig [s]."""
+def sample_time(experiment: Experiment, section: ControllerSection | ControllerChoice | None = None) -> float:
+    """Return the sample time of a controller [s]: that of its section, else that of the rig."""
+    if stated := getattr(section, "sample_time_s", None):
+        return float(stated)
     if experiment.spec.rig is None:
         raise UsageError(
             "sample_time_s: no rig says the sample time of the target; give it in seconds", "sample_time_s"
@@ -318,7 +315,7 @@ def design_result(
         settings["model"] = stored_key(surfaces)
     elif not is_fitted(experiment, section):
         settings["model"] = named_model(experiment, section)
-    return experiment.result("tune", name, experiment.path(TUNED, name), settings, sources)
+    return experiment.result(Item("tune", name), TUNED, settings, sources)
 
 
 # ---- Plan of the impacts: recordings, hammer, model of the expected modes, and controllers.
@@ -374,7 +371,7 @@ def _word_of(experiment: Experiment, loop: str) -> str:
 
 def _controller_file(experiment: Experiment, name: str) -> Path:
     """Return the controller file of a design; raises UsageError when `gbid tune` has not made it."""
-    path = experiment.path(TUNED, name, ".yaml")
+    path = experiment.path(TUNED, name, ending=".yaml")
     if not path.is_file():
         raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
     return path
@@ -393,16 +390,17 @@ def running_controller(
     if not isinstance(controller, control.ControllerDesign):
         unknown = ", ".join(gain.name for gain in controller.parameters if not gain.fixed)
         raise UsageError(f"controller {controller.name!r}: no value for {unknown}; the rig needs all gains")
-    time = needed(experiment.spec.rig, "rig").sample_time_s
+    needed_time = needed(experiment.spec.rig, "rig").sample_time_s
     continuous = controller.at(*at_point(controller, conditions))
     words = f"controller {controller.name!r}"
     if continuous.D.shape != (2, 2):
         raise UsageError(f"{words} has not two inputs and two outputs, the axes x and y of the rig")
-    rate = controller.sample_time
-    if abs(rate - time) > 1e-9 * time:
-        raise UsageError(f"{words}: sample time is {rate:g} s, that of the rig {time:g} s; make it for that")
+    sample_time = controller.sample_time
+    if abs(sample_time - needed_time) > 1e-9 * needed_time:
+        text = f"sample time is {sample_time:g} s, that of the rig {needed_time:g} s; make it for that"
+        raise UsageError(f"{words}: {text}")
     is_continuous = continuous.dt is None
-    sampled = control.sample_controller(continuous, rate, controller.method) if is_continuous else continuous
+    sampled = control.sample_controller(continuous, sample_time, controller.method) if is_continuous else continuous
     return LoopController(continuous, sampled, controller)
 
 
@@ -653,8 +651,7 @@ def _of_structure(experiment: Experiment, section: ControllerChoice) -> control.
         raise UsageError(f"{structure.name} has no gain {unknown[0]!r}; {nearest(unknown[0], names)}", "gains")
     if len(section.gains) < len(names):
         return structure if not section.gains else _with_known(structure, section.gains)
-    rate = section.sample_time_s if isinstance(section, LoopSection) else None
-    return control.ControllerDesign(structure.name, structure, section.gains, rate or rig_time(experiment))
+    return control.ControllerDesign(structure.name, structure, section.gains, sample_time(experiment, section))
 
 
 def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
@@ -675,7 +672,7 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
 def _of_python(experiment: Experiment, word: str) -> control.ControllerDesign | Structure:
     made = user_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
     if isinstance(made, LinearModel):
-        return control.ControllerDesign(word, None, {}, made.dt or rig_time(experiment), models={None: made})
+        return control.ControllerDesign(word, None, {}, made.dt or sample_time(experiment), models={None: made})
     linear = kind_of(made).linear
     if linear is None:
         raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
@@ -689,7 +686,7 @@ def _published(experiment: Experiment) -> control.ControllerDesign:
     if design is None:
         raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
     continuous = control.p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
-    return control.ControllerDesign("paper", None, {}, rig_time(experiment), models={None: continuous})
+    return control.ControllerDesign("paper", None, {}, sample_time(experiment), models={None: continuous})
 
 
 def _tuned(experiment: Experiment, name: str, planned: bool) -> control.ControllerDesign:

@@ -89,7 +89,7 @@ class DraftOptions:
         signal without any is in no file.
     time : str or None
         Column of the sample times.
-    sample_time_s : float or None
+    sample_time : float or None
         Time between samples [s].
     unit : str or None
         Unit of positions in files that state none.
@@ -110,7 +110,7 @@ class DraftOptions:
     folder: Path
     signals: Mapping[str, tuple[tuple[str, ...], ...]] = field(default_factory=dict)
     time: str | None = None
-    sample_time_s: float | None = None
+    sample_time: float | None = None
     unit: str | None = None
     pattern: str | None = None
     from_s: float | None = None
@@ -257,7 +257,7 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
             needed = signal in ("u", "p") or (signal in role.open_roles and signal not in options.signals)
             if signal not in role.signals and needed:
                 reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {listed}")
-        if role.time is None and options.sample_time_s is None:
+        if role.time is None and options.sample_time is None:
             reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
         with_unit = {channel.name for channel in each if channel.unit}
         given = {}  # units that the mapping has to state: as given, or as in the other files
@@ -568,10 +568,10 @@ def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData
 
 
 def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, float]) -> Recording:
-    clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
+    times = {"sample_time_s": options.sample_time} if options.sample_time else {"time": file.time}
     units = {name: {"unit": unit} for name, unit in file.units.items()}
     signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
-    return repair_overloads(import_recording(file.path, {**clock, "signals": signals, "conditions": conditions}))
+    return repair_overloads(import_recording(file.path, {**times, "signals": signals, "conditions": conditions}))
 
 
 def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -> dict[str, float]:

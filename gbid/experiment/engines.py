@@ -195,7 +195,7 @@ class ProcessPool:
         def give(worker: _Worker) -> None:
             if waiting and worker.ready and worker.number is None:
                 worker.number = waiting.popleft()
-                job.reporter.begin(tasks[worker.number].stage, tasks[worker.number].item)
+                job.reporter.begin(tasks[worker.number].item)
                 worker.send((worker.number, bare_task(tasks[worker.number])))
 
         try:
@@ -394,7 +394,7 @@ class DaskEngine:
         def begin(number: int) -> None:
             del waiting[number]
             running.add(number)
-            job.reporter.begin(tasks[number].stage, tasks[number].item)
+            job.reporter.begin(tasks[number].item)
 
         def begin_next(ended: int | None = None) -> None:
             if ended in waiting:

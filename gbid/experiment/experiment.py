@@ -20,7 +20,7 @@ from gbid.core.names import file_stem, given_path
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
-from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, file_digest, needed
+from gbid.experiment.fields import Found, Item, Location, Problem, Result, content_key, dotted, file_digest, needed
 from gbid.experiment.rig_schema import OperatingPoint, Place, RigSection
 from gbid.experiment.schema import (
     ExperimentFile,
@@ -469,35 +469,38 @@ class Experiment:
         excited = (q for q in self.recordings.values() if q.excited)
         return [q for q in excited if q.imported is not None or q.in_loop == closed]
 
-    def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
-        """Return the path of a result; a long name is cut, and ends with a digest."""
-        first, _, below = folder.partition("/")
-        *above, last = map(file_stem, name.split("/"))
-        return self.results.joinpath(self.folders.get(first, first), below, *above, f"{last}{ending}")
+    def path(self, folder: str, *names: str, ending: str = ".h5") -> Path:
+        """Return the path of a result by the names of its folders and its own; a long one is cut, with a digest."""
+        *above, last = map(file_stem, names)
+        return self.results.joinpath(self.folders.get(folder, folder), *above, f"{last}{ending}")
 
     def result(
         self,
-        stage: str,
-        item: str,
-        path: Path,
+        item: Item,
+        folder: str,
         settings: Mapping[str, Any],
         sources: Iterable[Result | str] = (),
+        *,
+        ending: str = ".h5",
     ) -> Result:
         """Return a result of a stage with its content key, the only place where these keys are made.
 
         Parameters
         ----------
-        stage, item : str
-            Names of stage and item.
-        path : pathlib.Path
-            The result file.
+        item : Item
+            What the result is about.
+        folder : str
+            Folder of the file, which has the name of the item.
         settings : dict
             What the stage takes from the YAML, as plain values.
         sources : iterable of Result or str
             Results that the stage reads, and digests or content keys of other files.
+        ending : str
+            Ending of the file.
         """
         keys = [source if isinstance(source, str) else source.key for source in sources]
-        return Result(stage, item, path, content_key(stage, settings, keys))
+        path = self.path(folder, *filter(None, (item.section, item.model)), ending=ending)
+        return Result(item, path, content_key(item.stage, settings, keys))
 
     def data_file(self, entry: ImportedSection) -> Path:
         """Return the path of the file of an imported recording."""

@@ -181,7 +181,7 @@ def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
 
 def _tuned(job: Job, name: str) -> ControllerDesign:
     """Return a tuned design of the experiment; one of the user's own structure with this structure."""
-    path, section = job.path(TUNED, name, ".yaml"), job.experiment.spec.controller[name]
+    path, section = job.path(TUNED, name, ending=".yaml"), job.experiment.spec.controller[name]
     if not path.is_file():
         raise DataError(f"{path}: file is missing; `gbid tune` makes it")
     is_own = ":" in section.structure and section.schedule is None

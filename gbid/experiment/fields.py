@@ -342,7 +342,41 @@ class InputError(DataError):
     """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
 
 
-_VERBS = {"prefilter": "fit", "ringdown": "impact", "cycle recording": "cycle"}  # of stages without their own verb
+_VERBS = {"prefilter": "fit", "ringdown": "impact", "recording": "cycle"}  # of stages without their own verb
+
+
+@dataclass(frozen=True)
+class Item:
+    """What one result of a stage is about; as text ``bearing/p5_n6000_prbs1``, ``map p5_n6000`` or ``bearing.csv``.
+
+    Attributes
+    ----------
+    stage : str
+        Name of the stage, for example ``"fit"``.
+    section : str
+        Name of its section in the YAML, of its recording, or of its operating point.
+    model : str
+        Model of a fit; empty for other items.
+    form : str
+        How its last name is written, such as ``"map {}"``.
+    round : str
+        Round of the cycle, such as ``"round1"``; empty outside of it.
+    """
+
+    stage: str
+    section: str
+    model: str = ""
+    form: str = "{}"
+    round: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of which its text consists, as those of folders and file."""
+        *above, last = filter(None, (self.round, self.section, self.model))
+        return (*above, self.form.format(last))
+
+    def __str__(self) -> str:
+        return "/".join(self.names)
 
 
 @dataclass(frozen=True)
@@ -351,16 +385,15 @@ class Result:
 
     Attributes
     ----------
-    stage, item : str
-        Names of stage and item, for example ``"fit"`` and ``"bearing/p5_n6000_prbs1"``.
+    item : Item
+        What the result is about.
     path : pathlib.Path
         The result file.
     key : str
         Content key of the result: of the settings of the stage and the keys of its sources.
     """
 
-    stage: str
-    item: str
+    item: Item
     path: Path
     key: str
 
@@ -379,7 +412,7 @@ class Result:
         """
         if self.is_made:
             return self.path
-        command = f"gbid {_VERBS.get(self.stage, self.stage)}"
+        command = f"gbid {_VERBS.get(self.item.stage, self.item.stage)}"
         if not self.path.is_file():
             raise InputError(f"{self.path}: file is missing; `{command}` makes it")
         foreign = "truncated or not made by an experiment"

@@ -16,7 +16,7 @@ from gbid.core.hdf5 import read_document, save
 from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not
-from gbid.experiment.fields import Result, stored_key
+from gbid.experiment.fields import Item, Result, stored_key
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
@@ -105,16 +105,15 @@ def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
 
 def recording_result(experiment: Experiment, planned: PlannedRecording) -> Result:
     """Return the result file of a recording of the rig or of a file."""
-    path = experiment.path(FOLDER, planned.name)
     if planned.controller:  # the file of the controller is made while the cycle runs
         settings = {**rig_run(experiment, planned).settings(), **loop_settings(experiment)}
         running = stored_key(experiment.results / planned.controller)
-        return experiment.result("cycle recording", planned.name, path, settings, [running])
+        return experiment.result(Item("recording", planned.name), FOLDER, settings, [running])
     if planned.imported is None:
         return _rig_result(experiment, planned.name)
     settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
     digest = digest_or_not(experiment.data_file(planned.imported))
-    return experiment.result("import", planned.name, path, settings, [digest])
+    return experiment.result(Item("import", planned.name), FOLDER, settings, [digest])
 
 
 @lru_cache(maxsize=1 << 16)
@@ -127,7 +126,7 @@ def _rig_result(experiment: Experiment, name: str) -> Result:
         sources += [recording_result(experiment, still) for still in stationary_at(experiment, planned.point)]
     if planned.run[:1] == ("course",):
         settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
-    return experiment.result("rig", name, experiment.path(FOLDER, name), settings, sources)
+    return experiment.result(Item("rig", name), FOLDER, settings, sources)
 
 
 def recording_tasks(

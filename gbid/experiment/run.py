@@ -18,7 +18,7 @@ from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, fro
 from gbid.core.files import atomic_path
 from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Check, Experiment
-from gbid.experiment.fields import InputError, Result, is_current, writing_keyed
+from gbid.experiment.fields import InputError, Item, Result, is_current, writing_keyed
 
 if TYPE_CHECKING:
     from gbid.control.tuning.problem import SearchStep
@@ -36,8 +36,8 @@ class Outcome:
 
     Attributes
     ----------
-    stage, item : str
-        Names of stage and item, for example ``"fit"`` and ``"bearing/p5_n6000_prbs1"``.
+    item : Item
+        What the result is about.
     path : pathlib.Path
         The result file.
     state : {"made", "kept", "failed"}
@@ -56,8 +56,7 @@ class Outcome:
         Whether the task failed in an earlier run and was not tried again.
     """
 
-    stage: str
-    item: str
+    item: Item
     path: Path
     state: State
     text: str = ""
@@ -86,7 +85,7 @@ class Reporter:
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
         """Receive the numbers of items of a stage to make, existing, and failed before; their outcomes follow."""
 
-    def begin(self, stage: str, item: str) -> None:
+    def begin(self, item: Item) -> None:
         """Receive the start of work on an item."""
 
     def iteration(self, progress: Progress) -> None:
@@ -130,15 +129,15 @@ class Task(Result):
         read: Callable[[Path], Made] | None = None,
     ) -> Task:
         """Return the task that makes a result."""
-        return cls(result.stage, result.item, result.path, result.key, write, tuple(recordings), read)
+        return cls(result.item, result.path, result.key, write, tuple(recordings), read)
 
     def failed(self, failure: Failure, before: bool = False) -> Outcome:
         """Return the outcome of the task after a failure, of this run or one before."""
-        return Outcome(self.stage, self.item, self.path, "failed", failure.text, cause=failure.cause, before=before)
+        return Outcome(self.item, self.path, "failed", failure.text, cause=failure.cause, before=before)
 
     def ended(self, state: State, made: Made, seconds: float = 0.0) -> Outcome:
         """Return the outcome of the task with the summary of its result."""
-        return Outcome(self.stage, self.item, self.path, state, made.text, seconds, made.converged, made.fit_percent)
+        return Outcome(self.item, self.path, state, made.text, seconds, made.converged, made.fit_percent)
 
 
 class TaskEngine(Protocol):
@@ -188,9 +187,9 @@ class Job:
     retry: bool = False
     command: str = ""
 
-    def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
+    def path(self, *names: str, ending: str = ".h5") -> Path:
         """Return the path of a result, as `Experiment.path`."""
-        return self.experiment.path(folder, name, ending)
+        return self.experiment.path(*names, ending=ending)
 
 
 FAILED = "failed"
@@ -221,7 +220,7 @@ class Failure:
 
 def failure_path(job: Job, result: Result) -> Path:
     """Return the path of the record of a failure, ``failed/<stage>/<item>.json``."""
-    return job.path(f"{FAILED}/{result.stage}", result.item, ".json")
+    return job.path(FAILED, result.item.stage, *result.item.names, ending=".json")
 
 
 def remember_failure(job: Job, result: Result, failure: Failure) -> None:
@@ -233,7 +232,7 @@ def remember_failure(job: Job, result: Result, failure: Failure) -> None:
         When the record cannot be written.
     """
     when = datetime.now(UTC).isoformat(timespec="seconds")
-    document = {"stage": result.stage, "item": result.item, **failure.__dict__, "when": when}
+    document = {"stage": result.item.stage, "item": str(result.item), **failure.__dict__, "when": when}
     with atomic_path(failure_path(job, result), overwrite=True) as part:
         part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
@@ -288,7 +287,7 @@ def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] |
     todo = [number for number, outcome in outcomes.items() if outcome is None]
     settled = [outcome for outcome in outcomes.values() if outcome is not None]
     failed = sum(outcome.state == "failed" for outcome in settled)
-    job.reporter.expect(tasks[0].stage, len(todo), len(settled) - failed, failed)
+    job.reporter.expect(tasks[0].item.stage, len(todo), len(settled) - failed, failed)
     for outcome in settled:
         job.reporter.end(outcome)
     if todo:
@@ -353,7 +352,7 @@ def perform(job: Job, task: Task) -> Outcome:
 
 def _make(job: Job, task: Task) -> Outcome:
     began = time.perf_counter()
-    fit = task.item.partition("/")[0] if task.stage == "fit" else ""
+    fit = task.item.section if task.item.stage == "fit" else ""
     origin = {**job.experiment.origin(task.recordings, fit), "command": job.command}
     with one_blas_thread(), writing_keyed(task.path, task.key, origin) as part:
         made = task.write(job, part) or Made()
@@ -394,7 +393,7 @@ def produce(job: Job, result: Result, write: Callable[[Path], str | None]) -> Ou
         if is_current(task.path, task.key, job.overwrite):
             outcome = task.ended("kept", Made())
         else:
-            job.reporter.begin(task.stage, task.item)
+            job.reporter.begin(task.item)
             outcome = _make(job, task)
     except NoSpaceError:
         raise
@@ -419,7 +418,7 @@ class InTurn:
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
         """Run the tasks in their order; yield number and outcome of each."""
         for number, task in enumerate(tasks):
-            job.reporter.begin(task.stage, task.item)
+            job.reporter.begin(task.item)
             yield number, perform(job, task)
 
     def close(self) -> None:
@@ -452,8 +451,8 @@ def outcomes_view(stage: str, key: str) -> View:
     columns = [Column("item"), Column("state"), Column("text", wrap=True)]
 
     def document(_: Job, outcomes: Sequence[Outcome]) -> Document:
-        made = [o for o in outcomes if o.stage == stage]
-        return {key: [{"item": o.item, "state": o.state, "text": o.text, "path": str(o.path)} for o in made]}
+        made = [o for o in outcomes if o.item.stage == stage]
+        return {key: [{"item": str(o.item), "state": o.state, "text": o.text, "path": str(o.path)} for o in made]}
 
     def tables(document: Document) -> list[Table]:
         rows = [[row[column.name] for column in columns] for row in document[key]]

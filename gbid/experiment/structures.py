@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid import control
 from gbid.core.errors import GbidError, UsageError, nearest
-from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
+from gbid.experiment.controllers import at_point, controller_identity, found_controller, sample_time
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import about, file_digest
 from gbid.experiment.rig_schema import LoopSection
@@ -68,12 +68,12 @@ def looped(
             f"{structure.name} is a part of what the controller acts on, from r to p; write structure: plant, or leave "
             "loop out and fit it from what was measured on both sides"
         )
-    law, sample_time = _law(experiment, section, fit, planned)
+    law, sampled_at = _law(experiment, section, fit, planned)
     samples = section.computation_samples if section.sampled else 0
     return ClosedLoop(
         linear,
         law,
-        sample_time=sample_time,
+        sample_time=sampled_at,
         computation_samples=samples,
         measured=section.measured,
         injected=section.injected,
@@ -91,18 +91,18 @@ def _law(
             raise UsageError(
                 "delay_s is for a known continuous controller; an unknown one needs a Padé filter of its own"
             )
-        return controller, (section.sample_time_s or rig_time(experiment)) if section.sampled else None
+        return controller, sample_time(experiment, section) if section.sampled else None
     model = controller.at(*at_point(controller, _conditions(experiment, fit)))
-    rate = section.sample_time_s or controller.sample_time
+    running_at = section.sample_time_s or controller.sample_time
     if section.sampled:
         if section.delay_s is not None:
             raise UsageError("delay_s is for a continuous controller; write computation_samples, or sampled: false")
-        return control.sample_controller(model, rate, controller.method) if model.dt is None else model, None
+        return control.sample_controller(model, running_at, controller.method) if model.dt is None else model, None
     if model.dt is not None:
         raise UsageError(f"controller {model.name!r} is sampled; remove sampled: false")
     if section.sample_time_s is not None:
         raise UsageError("sample_time_s is for a sampled controller; remove it, or sampled: false")
-    delay_s = (section.computation_samples + 0.5) * rate if section.delay_s is None else section.delay_s
+    delay_s = (section.computation_samples + 0.5) * running_at if section.delay_s is None else section.delay_s
     return _with_delayed_output(model, delay_s), None
 
 

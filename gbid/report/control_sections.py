@@ -426,7 +426,7 @@ def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
         return PageSection("surfaces", title, [Words(text, "warn")])
     blocks: list[Block] = []
     for item, fit in results.surfaces.items():
-        path = results.job.path("lpv", item, ".yaml").relative_to(results.experiment.results)
+        path = results.job.path("lpv", item, ending=".yaml").relative_to(results.experiment.results)
         blocks += _drawn(pictures, fit, lpv_document(item, fit, path, published=results.published))
     return PageSection("surfaces", title, blocks)
 

@@ -200,7 +200,7 @@ def _impact_figures_table(where: str, responses: Sequence[Row], documents: Seque
 
 def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
     """Return the documents of tuned designs as plain values, with their files; failed ones are left out."""
-    paths = {(o.stage, o.item): str(o.path) for o in outcomes if o.state != "failed"}
+    paths = {(o.item.stage, o.item.section): str(o.path) for o in outcomes if o.state != "failed"}
     return [
         {
             "design": name,

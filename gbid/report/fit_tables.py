@@ -51,8 +51,8 @@ def campaign_document(
     """Return a summary of a campaign: states of the stages, fits by name, and the files of the table."""
     stages: dict[str, dict[str, int]] = {}
     for outcome in outcomes:
-        if outcome.stage != "table":
-            counts = stages.setdefault(outcome.stage, dict.fromkeys(_STATES, 0))
+        if outcome.item.stage != "table":
+            counts = stages.setdefault(outcome.item.stage, dict.fromkeys(_STATES, 0))
             counts[outcome.state] += 1
             counts["not_converged"] += outcome.state != "failed" and not outcome.converged
     return {
@@ -60,7 +60,7 @@ def campaign_document(
         "results": str(experiment.results),
         "stages": stages,
         "fits": [] if table is None else [_fit_of_campaign(table, name) for name in experiment.spec.fits],
-        "table": [str(outcome.path) for outcome in outcomes if outcome.stage == "table"],
+        "table": [str(outcome.path) for outcome in outcomes if outcome.item.stage == "table"],
     }
 
 
@@ -319,7 +319,7 @@ SHOWN_SPIKES = 10
 
 def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[Row]:
     """Return documents of recordings that were made or imported; failed ones are left out."""
-    made = [outcome for outcome in outcomes if outcome.stage in ("rig", "import") and outcome.state != "failed"]
+    made = [outcome for outcome in outcomes if outcome.item.stage in ("rig", "import") and outcome.state != "failed"]
     return [
         {
             "name": recording.name,

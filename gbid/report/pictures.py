@@ -16,7 +16,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Figure, Pictured
 from gbid.core.tables import write_csv
 from gbid.experiment.experiment import figure_pairs, fit_models
-from gbid.experiment.fields import Result, content_key
+from gbid.experiment.fields import Item, Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
@@ -103,9 +103,12 @@ def draw_figures(job: Job) -> list[Outcome]:
         title: str, fit: str, picture: Callable[[], Drawn], settings: Mapping[str, Any], sources: list[str]
     ) -> None:
         for kind in experiment.spec.figures[fit].formats:
-            path, key = job.path(FOLDER, title, f".{kind}"), content_key("figure", {"kind": kind, **settings}, sources)
+            path, key = (
+                job.path(FOLDER, title, ending=f".{kind}"),
+                content_key("figure", {"kind": kind, **settings}, sources),
+            )
             write = partial(_save, picture, kind, key)
-            outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
+            outcomes.append(produce(job, Result(Item("figure", title, form=f"{{}}.{kind}"), path, key), write))
 
     pairs = [(fit, *pair) for fit in experiment.spec.figures for pair in figure_pairs(experiment, fit)]
     for fit, model, recording in pairs:
@@ -114,15 +117,17 @@ def draw_figures(job: Job) -> list[Outcome]:
             sources = [fit_result(experiment, fit, model).key, data_key(experiment, fit, recording)]
         except (DataError, OSError) as error:
             outcomes.append(
-                Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error), cause="input")
+                Outcome(
+                    Item("figure", name), job.path(FOLDER, name, ending=".png"), "failed", str(error), cause="input"
+                )
             )
             job.reporter.end(outcomes[-1])
             continue
         section, shown = experiment.spec.figures[fit], (job, fit, model, recording)
         if section.bode:
-            path, key = job.path(FOLDER, f"{name}_bode", ".csv"), content_key("figure", {"kind": "csv"}, sources)
+            path, key = job.path(FOLDER, f"{name}_bode", ending=".csv"), content_key("figure", {"kind": "csv"}, sources)
             numbers = partial(_save_bode, *shown, key)
-            outcomes.append(produce(job, Result("figure", f"{name}_bode.csv", path, key), numbers))
+            outcomes.append(produce(job, Result(Item("figure", name, form="{}_bode.csv"), path, key), numbers))
         draw(name, fit, partial(_response, *shown), section.model_dump(include={"from_s", "to_s"}), sources)
         if section.residuals:
             draw(f"{name}_residuals", fit, partial(_residuals, *shown), {"residuals": True}, sources)

@@ -22,7 +22,7 @@ from gbid.experiment.controllers import (
     sample_time,
 )
 from gbid.experiment.experiment import Experiment, recordings_of
-from gbid.experiment.fields import content_key, stored_key
+from gbid.experiment.fields import Item, content_key, stored_key
 from gbid.experiment.machine import rig_machine, rig_model
 from gbid.experiment.recordings import RecordingSignals, load_made, read_signals
 from gbid.experiment.run import Job, Outcome, Task, standing
@@ -297,8 +297,8 @@ class Standing:
 
     Attributes
     ----------
-    stage, item : str
-        Names of the stage and of the item.
+    item : Item
+        What the result is about.
     state : {"there", "failed", "missing", "stale"}
         ``stale``: made with other settings or data.
     text : str
@@ -307,8 +307,7 @@ class Standing:
         False for a fit that did not converge.
     """
 
-    stage: str
-    item: str
+    item: Item
     state: State
     text: str = ""
     converged: bool = True
@@ -342,7 +341,7 @@ def read_standings(job: Job) -> tuple[Standing, ...]:
                 state = "failed" if outcome.state == "failed" else "there", outcome.text, outcome.converged
         except UsageError:
             state = "stale", "made with other settings or data, or by another gbid"
-        standings.append(Standing(task.stage, task.item, *state))
+        standings.append(Standing(task.item, *state))
     return tuple(standings)
 
 
@@ -366,13 +365,13 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
         try:
             outcome = standing(job, task)
             if outcome is None:
-                missing[task.item] = f"{task.stage} {task.item} not there; run `{verb}` or `gbid run`"
+                missing[task.item.section] = f"{task.item.stage} {task.item} not there; run `{verb}` or `gbid run`"
             elif outcome.state == "failed":
-                missing[task.item] = f"{task.stage} {task.item} failed: {outcome.text}"
+                missing[task.item.section] = f"{task.item.stage} {task.item} failed: {outcome.text}"
             else:
-                results[task.item] = load(task)
+                results[task.item.section] = load(task)
         except GbidError as error:
-            missing[task.item] = str(error)
+            missing[task.item.section] = str(error)
     return StageResults(results, missing)
 
 
@@ -436,21 +435,21 @@ class Results:
     @cached_property
     def recordings(self) -> tuple[RecordingSignals, ...]:
         """Signals of the existing excited recordings."""
-        made = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
+        made = {f.item.section for f in self.standings if f.item.stage in ("rig", "import") and f.state == "there"}
         planned = self.experiment.recordings.items()
         return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in made)
 
     @cached_property
     def prefiltered(self) -> list[Row]:
         """Corrections by the prefilter, for each channel."""
-        made = [f.item for f in self.standings if f.stage == "prefilter" and f.state == "there"]
+        made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "there"]
         return [row for item in made for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:
         """Existing fits."""
-        made = [f.item.partition("/") for f in self.standings if f.stage == "fit" and f.state == "there"]
-        return tuple(read_fit(self.job, fit, model) for fit, _, model in made)
+        made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "there"]
+        return tuple(read_fit(self.job, item.section, item.model) for item in made)
 
     def fit_with(self, structure: str) -> str:
         """Return the name of the first fit with a structure."""
@@ -513,7 +512,9 @@ class Results:
     @cached_property
     def statics(self) -> StageResults[characterise.StaticMap | characterise.PiezoCurve]:
         """Static characterisations."""
-        return read_tasks(self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item))
+        return read_tasks(
+            self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item.section)
+        )
 
     @property
     def static_map(self) -> characterise.StaticMap:
@@ -660,8 +661,8 @@ _FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cy
 def report_key(results: Results) -> str:
     """Return the content key of the report: the states of all results and the keys of their files."""
     experiment = results.experiment
-    standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
-    fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
+    standings = [[f.item.stage, str(f.item), f.state, f.text] for f in results.standings]
+    fits = [stored_key(results.job.path("fits", *f.item.names)) for f in results.standings if f.item.stage == "fit"]
     spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
     return content_key("report", spec, [*fits, *made_keys(results)])
 
@@ -677,6 +678,6 @@ def kept_report(job: Job) -> Outcome | None:
     path = job.experiment.results / REPORT
     if stored_key(path) != report_key(Results(job)):
         return None
-    outcome = Outcome("report", REPORT, path, "kept")
+    outcome = Outcome(Item("report", REPORT), path, "kept")
     job.reporter.end(outcome)
     return outcome

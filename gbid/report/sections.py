@@ -85,7 +85,7 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
     blocks: list[Block] = []
     lost = lost_fits(results)
     if lost:
-        rows = [(Cell(f.item, href=f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
+        rows = [(Cell(str(f.item), href=fit_href(f.item.section, f.item.model)), f.state, f.text) for f in lost]
         blocks.append(Table("Fits that are not there", [Column("fit"), Column("state"), Column("reason")], rows))
     for name in results.experiment.spec.fits:
         made = [q for q in results.fits if q.fit == name]
@@ -124,7 +124,7 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
 
 def lost_fits(results: Results) -> list[Standing]:
     """Return the planned fits without result."""
-    return [f for f in results.standings if f.stage == "fit" and f.state != "there"]
+    return [f for f in results.standings if f.item.stage == "fit" and f.state != "there"]
 
 
 def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
@@ -134,8 +134,8 @@ def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
     fits = {q.name: {**_heading(results, q), **tables[q.name], **drawn.get(q.name, {})} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
-        title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
-        fits[f.item] = {**empty, **title, "status": f"{f.state}: {f.text}"}
+        title = {"title": str(f.item), "label": f"{f.item.model}: {f.state}", "state": "bad"}
+        fits[str(f.item)] = {**empty, **title, "status": f"{f.state}: {f.text}"}
     order = {name: i for i, name in enumerate(results.experiment.spec.fits)}
     return {"fits": dict(sorted(fits.items(), key=lambda item: order[item[0].partition("/")[0]]))}
 
@@ -529,9 +529,9 @@ _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltere
 def warnings(results: Results) -> list[Link]:
     """Return the warnings of all results, each with a link to its section."""
     links = [
-        Link(f"{f.stage} {f.item}: {f.text}", "#data")
+        Link(f"{f.item.stage} {f.item}: {f.text}", "#data")
         for f in results.standings
-        if f.stage != "fit" and f.state == "failed"
+        if f.item.stage != "fit" and f.state == "failed"
     ]
     lost = Counter(f.state for f in lost_fits(results))
     links += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
@@ -614,7 +614,7 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
         blocks.append(Fold(f"Notes ({len(notes)})", [Listed([begin + text for begin, text in notes])]))
     counts: dict[str, Counter[str]] = {}
     for f in results.standings:
-        counts.setdefault(_STAGES[f.stage], Counter())[f.state] += 1
+        counts.setdefault(_STAGES[f.item.stage], Counter())[f.state] += 1
     states = ("there", "failed", "missing", "stale")
     rows: list[tuple[Entry, ...]] = [(stage, *(count[state] for state in states)) for stage, count in counts.items()]
     heads = ("made", "failed", "not made", "made with other settings")
@@ -625,7 +625,7 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
 def origin_section(results: Results) -> PageSection | None:
     """Return programs, YAML, seeds, data and commands behind fits, surfaces and designs; None without any of them."""
     job = results.job
-    paths = [job.path("fits", f"{q.fit}/{q.model}") for q in results.fits]
+    paths = [job.path("fits", q.fit, q.model) for q in results.fits]
     paths += [job.path("lpv", name) for name in results.surfaces]
     paths += [job.path("controller", name) for name in results.designs.made]
     origins = [known(path, "made_with", read_made_with) for path in paths if path.is_file()]

@@ -16,9 +16,10 @@ from gbid.core.hdf5 import load
 from gbid.core.tables import Row, Table, titled
 from gbid.experiment.controllers import load_design
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
-from gbid.experiment.stages.crossval import SUMMARY, crossval_rows, nominal_of
+from gbid.experiment.stages.crossval import crossval_rows, nominal_of
 from gbid.experiment.stages.cycle import made_rows
 from gbid.experiment.stages.loop import made_costs
+from gbid.experiment.stages.prefilter import MAP
 from gbid.experiment.stages.static import load_made_static
 from gbid.identify.fit_tables import fit_tables
 from gbid.prefilter import PrefilterFile
@@ -66,7 +67,7 @@ def view_of(stage: Stage) -> View:
 
 
 def _made(outcomes: Sequence[Outcome], stage: str) -> list[Outcome]:
-    return [outcome for outcome in outcomes if outcome.stage == stage and outcome.state != "failed"]
+    return [outcome for outcome in outcomes if outcome.item.stage == stage and outcome.state != "failed"]
 
 
 def _with_file(outcome: Outcome, document: Row) -> Row:
@@ -74,7 +75,7 @@ def _with_file(outcome: Outcome, document: Row) -> Row:
 
 
 def _prefilter(_: Job, outcomes: Sequence[Outcome]) -> Document:
-    maps = [o.path for o in _made(outcomes, "prefilter") if o.item.startswith("map ")]
+    maps = [o.path for o in _made(outcomes, "prefilter") if o.item.form == MAP]
     return {"prefilter": [row for path in maps for row in prefilter_rows(load(path, PrefilterFile).reports)]}
 
 
@@ -82,7 +83,7 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
     """Return documents of the fits, with true values for those of the rig; failed ones are left out."""
     documents = []
     for outcome in _made(outcomes, "fit"):
-        fit, _, model = outcome.item.partition("/")
+        fit, model = outcome.item.section, outcome.item.model
         place = _with_file(outcome, {"fit": fit, "model": model})
         documents.append({**place, **read_fit(job, fit, model).document})
     return documents
@@ -93,15 +94,15 @@ def _fit_tables(document: Document) -> list[Table]:
 
 
 def _static(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    files = {o.item: o for o in _made(outcomes, "static") if o.path.suffix == ".h5"}
+    files = {o.item.section: o for o in _made(outcomes, "static") if o.path.suffix == ".h5"}
     return {"static": [_with_file(o, static_document(name, load_made_static(job, name))) for name, o in files.items()]}
 
 
 def _validation(job: Job, outcomes: Sequence[Outcome]) -> Document:
     made = _made(outcomes, "crossval")
     rows = [{**asdict(row), "missed": row.missed} for row in crossval_rows(job)] if made else []
-    files = [o.path for o in made if o.path.suffix == ".h5"]
-    summaries = [summary_document(q.stem.removesuffix(SUMMARY), load(q, validate.ValidationSummary), q) for q in files]
+    files = {o.item.section: o.path for o in made if o.path.suffix == ".h5"}
+    summaries = [summary_document(name, load(q, validate.ValidationSummary), q) for name, q in files.items()]
     return {"crossval": rows, "crossval_summary": summaries}
 
 
@@ -115,26 +116,29 @@ def _validation_tables(document: Document) -> Iterable[Table]:
 
 
 def _nominal(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    documents = (nominal_document(o.item, nominal_of(job)[0], o.path) for o in _made(outcomes, "nominal"))
+    documents = (nominal_document(o.item.section, nominal_of(job)[0], o.path) for o in _made(outcomes, "nominal"))
     return {"nominal": next(documents, None)}
 
 
 def _surfaces(job: Job, outcomes: Sequence[Outcome]) -> Document:
     """Return documents of the surfaces, with the paper's figures for the paper's machine."""
-    rig, paths = job.experiment.spec.rig, {o.item: o.path for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"}
+    rig, paths = (
+        job.experiment.spec.rig,
+        {o.item.section: o.path for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"},
+    )
     published = rig is not None and rig.model == PUBLISHED
     documents = (lpv_document(q, lpv.load_lpv_fit(path), path, published=published) for q, path in paths.items())
     return {"lpv": list(documents)}
 
 
 def _impacts(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
-    studies = {o.item: load(o.path, control.ImpactStudy) for o in _made(outcomes, "ringdown")}
+    paths = {o.item.section: o.path for o in outcomes if o.item.stage == "ringdown"}
+    studies = {o.item.section: load(o.path, control.ImpactStudy) for o in _made(outcomes, "ringdown")}
     return {"impacts": impact_documents(job.experiment, studies, paths)}
 
 
 def _designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
-    return {o.item: load_design(o.path) for o in _made(outcomes, "tune")}
+    return {o.item.section: load_design(o.path) for o in _made(outcomes, "tune")}
 
 
 def _entry(key: str, table: Callable[[Any], Table]) -> Callable[[Document], list[Table]]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from gbid.core.errors import DataError, UsageError
-from gbid.experiment.fields import Result, content_key, stored_key
+from gbid.experiment.fields import Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.identify import SubspaceOrders
 from gbid.report.control_sections import (
@@ -72,7 +72,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     def write(part: Path) -> None:
         part.write_text(report_text(results, key, f"{path.stem}_curves"), encoding="utf-8")
 
-    return produce(job, Result("report", path.name, path, key), write)
+    return produce(job, Result(Item("report", path.name), path, key), write)
 
 
 def write_curves(job: Job, report: Path) -> list[Outcome]:
@@ -95,11 +95,11 @@ def write_curves(job: Job, report: Path) -> list[Outcome]:
     for q in (q for q in results.fits if q.name not in in_page):
         path = report.with_name(f"{report.stem}_curves") / q.fit / f"{q.model}.js"
         shown = results.experiment.spec.figures.get(q.fit)
-        sources = [stored_key(job.path("fits", q.name))]
+        sources = [stored_key(job.path("fits", q.fit, q.model))]
         key = content_key("curves", {"from_s": shown.from_s if shown else None}, sources)
         mine = replace(job, overwrite=job.overwrite or bool(stored_key(path)))
         text = partial(curves_script, results, q.name, key)
-        outcomes.append(produce(mine, Result("curves", q.name, path, key), partial(_write_text, text)))
+        outcomes.append(produce(mine, Result(Item("curves", q.fit, q.model), path, key), partial(_write_text, text)))
     return outcomes
 
 

@@ -212,7 +212,7 @@ class Live:
             self._results, self._look, self._read_s = Results(Job(self._experiment)), look, begin
             self._stages = {}
             for standing in self._results.standings:
-                self._stages.setdefault(standing.stage, Counter())[standing.state] += 1
+                self._stages.setdefault(standing.item.stage, Counter())[standing.state] += 1
             if (key := report_key(self._results)) != self._key:
                 self._key, self._page, self._designs = key, "", {}
             self._rest_since(begin)

@@ -77,7 +77,9 @@ def make_campaign(folder: Path, fits: int, samples: int) -> Experiment:
     for task in tasks[1:]:
         noisy = first.signal("p") + _NOISE * random.standard_normal(first.signal("p").shape)
         with writing_keyed(task.path, task.key) as part:
-            save_recording(replace(first, name=task.item, signals={**first.signals, "p": noisy}), part, overwrite=True)
+            save_recording(
+                replace(first, name=task.item.section, signals={**first.signals, "p": noisy}), part, overwrite=True
+            )
     return experiment
 
 
@@ -112,7 +114,7 @@ class Meter(Reporter):
     looks: list[dict[str, float]] = field(default_factory=list)
 
     def end(self, outcome: Outcome) -> None:
-        if outcome.stage == "fit":
+        if outcome.item.stage == "fit":
             self.done += 1
             if self.done in (max(1, self.total // 10), self.total):
                 self.look()

@@ -65,7 +65,7 @@ def make_results(folder: Path, count: int, duration_s: float = 1.0) -> Experimen
             with writing_keyed(task.path, task.key) as part:
                 shutil.copyfile(tasks[number % REAL].path, part)
                 with changing(part) as file:
-                    file.attrs[attribute] = task.item if tasks is recordings else list(task.recordings)
+                    file.attrs[attribute] = task.item.section if tasks is recordings else list(task.recordings)
                     text = file["document"][()].tobytes()
                     for real, copied in zip(tasks[number % REAL].recordings, task.recordings, strict=True):
                         text = text.replace(f'"{real}"'.encode(), f'"{copied}"'.encode())

@@ -108,7 +108,7 @@ def test_a_second_run_changes_nothing(springs, capsys):
 def test_pool_gives_what_this_process_gives(pool, springs, fresh):
     outcomes = run_campaign(Job(load_experiment(fresh), engine=pool))
     assert [o.state for o in outcomes] == ["made"] * 20
-    assert [o.item for o in outcomes if o.stage == "fit"] == [f"spring/run{i}" for i in range(1, 11)]
+    assert [str(o.item) for o in outcomes if o.item.stage == "fit"] == [f"spring/run{i}" for i in range(1, 11)]
     assert gbid("batch", fresh, "--collect") == 0
     assert table_of(fresh) == table_of(springs)
 
@@ -295,8 +295,8 @@ def test_shards_share_staircases_but_not_stationary_recordings(tmp_path):
     job = Job(load_experiment(write_quick(tmp_path, stairs)))
     tasks, count = rig_tasks(job), 3
     parts = [tasks_of(Shard(i, count), job.experiment, tasks) for i in range(1, count + 1)]
-    made = Counter(t.item for part in parts for t in part)
-    assert set(made) == {t.item for t in tasks}
+    made = Counter(t.item.section for part in parts for t in part)
+    assert set(made) == {t.item.section for t in tasks}
     planned = job.experiment.recordings
     assert {planned[name].kind for name in made} == {"excited", "stationary", "staircase"}
     for name, times in made.items():
@@ -326,8 +326,8 @@ def test_parts_contain_what_their_prefilter_needs(tmp_path):
     made = {"down1": {"p4_n6000_still1"}, "p5_n0_loop2": {"p5_n0_loop_still1", "p5_n0_still1"}}
     for number in range(1, 6):
         tasks = [task for _, stage in early_tasks(job) for task in tasks_of(Shard(number, 5), job.experiment, stage)]
-        items = {task.item for task in tasks if task.stage == "rig"}
-        for prefiltered in (each.item for each in tasks if each.stage == "prefilter"):
+        items = {task.item.section for task in tasks if task.item.stage == "rig"}
+        for prefiltered in (each.item.section for each in tasks if each.item.stage == "prefilter"):
             assert {prefiltered, *made.get(prefiltered, ())} <= items
 
 
@@ -335,14 +335,15 @@ def test_one_fit_is_that_of_the_batch(tmp_path):
     path = tmp_path / "loops.yaml"
     path.write_text(LOOPS)
     job = Job(load_experiment(path))
-    complete = {(task.stage, task.item): task for _, tasks in early_tasks(job) for task in tasks}
-    fits = [item for stage, item in complete if stage == "fit"]
+    complete = {task.item: task for _, tasks in early_tasks(job) for task in tasks}
+    fits = [item for item in complete if item.stage == "fit"]
     assert len(fits) == 5
     for item in fits:
-        tasks = [task for _, tasks in tasks_for(job, item) for task in tasks]
-        assert [task.item for task in tasks if task.stage == "fit"] == [item]
-        assert all(complete[task.stage, task.item].key == task.key for task in tasks)
-    needed = {task.item for _, tasks in tasks_for(job, "held/p5_n0_loop2") for task in tasks if task.stage == "rig"}
+        tasks = [task for _, tasks in tasks_for(job, str(item)) for task in tasks]
+        assert [task.item for task in tasks if task.item.stage == "fit"] == [item]
+        assert all(complete[task.item].key == task.key for task in tasks)
+    parts = tasks_for(job, "held/p5_n0_loop2")
+    needed = {task.item.section for _, tasks in parts for task in tasks if task.item.stage == "rig"}
     assert needed == {"p5_n0_loop2", "p5_n0_loop_still1", "p5_n0_still1"}
 
 
@@ -433,13 +434,13 @@ def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
 def test_what_has_nothing_to_start_from_is_not_run(tmp_path):
     path = write_springs(tmp_path, 3, damage={2: bad})
     with working(load_experiment(path), engine="serial") as job:
-        outcomes = {f"{o.stage} {o.item}": o for o in run_campaign(job)}
+        outcomes = {f"{o.item.stage} {o.item}": o for o in run_campaign(job)}
     assert outcomes["fit spring/run2"].text == "its input is missing: import run2 failed"
     assert outcomes["fit spring/run2"].cause == "input"
     assert not (results_of(path) / "failed" / "fit").exists()
     (results_of(path) / "recordings" / "run3.h5").write_bytes(b"damaged")
     with working(load_experiment(path), engine="serial") as job:
-        outcomes = {f"{o.stage} {o.item}": o for o in run_campaign(job)}
+        outcomes = {f"{o.item.stage} {o.item}": o for o in run_campaign(job)}
     assert outcomes["import run3"].state == "failed"
     assert outcomes["fit spring/run3"].state == "kept"  # it is there, made from what the file should hold
 
@@ -549,8 +550,8 @@ def test_a_table_of_others_is_left_and_nothing_made_is_said(tmp_path):
     assert np.isnan(table.pressure_bar[0])
     again, outcomes = collect(job)
     assert {outcome.state for outcome in outcomes} == {"kept"}
-    assert len(again) == len(load_table(job.path("", "table", ".h5"))) == 1
-    table_path = job.path("", "table", ".csv")
+    assert len(again) == len(load_table(job.path("", "table", ending=".h5"))) == 1
+    table_path = job.path("", "table", ending=".csv")
     table_path.write_text("of someone else")
     assert [outcome.state for outcome in collect(job)[1]] == ["kept", "failed"]
     assert table_path.read_text() == "of someone else"

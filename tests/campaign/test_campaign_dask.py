@@ -51,11 +51,11 @@ class Killer:
     def expect(self, stage, todo, there, failed):
         pass
 
-    def begin(self, stage, item):
+    def begin(self, item):
         pass
 
     def end(self, outcome):
-        self.fits += outcome.stage == "fit"
+        self.fits += outcome.item.stage == "fit"
         if self.fits == 2 and self.victim is None:
             self.victim = next(iter(self.engine.client.run(os.getpid).values()))
             os.kill(self.victim, signal.SIGKILL)

@@ -200,10 +200,11 @@ def test_the_estimate_of_the_size_is_about_right(quick):
 
 def test_progress_says_where_the_solver_is(capsys):
     from gbid.cli.progress import ProgressReporter
+    from gbid.experiment.fields import Item
     from gbid.identify import Progress
 
     reporter = ProgressReporter()
-    reporter.begin("fit", "bearing/run1")
+    reporter.begin(Item("fit", "bearing", "run1"))
     for which in range(2):
         for iteration in (0, 10):
             sigma = float("inf") if iteration == 0 else 0.25 + which

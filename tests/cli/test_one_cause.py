@@ -7,17 +7,18 @@ import typer
 
 from gbid.cli.progress import ProgressReporter
 from gbid.cli.stages import finish
+from gbid.experiment.fields import Item
 from gbid.experiment.run import Outcome
 
 
 def failed(stage, item, text, cause="data", before=False):
-    return Outcome(stage, item, Path(f"{item}.h5"), "failed", text, cause=cause, before=before)
+    return Outcome(Item(stage, item), Path(f"{item}.h5"), "failed", text, cause=cause, before=before)
 
 
 IMPORTS = [failed("import", f"run{i}", f"run{i}.csv: bad; repair it") for i in range(1, 7)]
 FITS = [failed("fit", f"spring/run{i}", "its input is missing", "input") for i in range(1, 7)]
 PAIRS = [failed("crossval", f"spring/run{i} on run1", "file is missing", "input") for i in range(2, 7)]
-TABLE = Outcome("table", "table.h5", Path("table.h5"), "made")
+TABLE = Outcome(Item("table", "table.h5"), Path("table.h5"), "made")
 
 
 def end_of(outcomes, capsys):

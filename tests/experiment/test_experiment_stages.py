@@ -33,14 +33,14 @@ class Log:
     def expect(self, stage, todo, there, failed):
         pass
 
-    def begin(self, stage, item):
-        self.begun.append((stage, item))
+    def begin(self, item):
+        self.begun.append((item.stage, str(item)))
 
     def iteration(self, progress):
         self.iterations += 1
 
     def end(self, outcome):
-        self.ended.append((outcome.stage, outcome.item, outcome.state))
+        self.ended.append((outcome.item.stage, str(outcome.item), outcome.state))
 
 
 SUMMARIES = ("bearing_summary.csv", "bearing_summary.h5")
@@ -156,7 +156,7 @@ def test_rerun_keeps_everything(made, again):
 def test_a_missing_result_alone_is_made_again(again):
     (again / "results/quick/fits/piezos/p5_n6000_prbs1.h5").unlink()
     outcomes, _ = all_stages(Job(load_experiment(again / "experiment.yaml")))
-    assert [o.item for o in outcomes if o.state == "made"] == ["piezos/p5_n6000_prbs1"]
+    assert [str(o.item) for o in outcomes if o.state == "made"] == ["piezos/p5_n6000_prbs1"]
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_other_settings_are_refused_and_nothing_changes(again, old, new, first_r
 def test_overwrite_replaces_only_what_differs(again):
     path = write_quick(again, ("stop: paper", "stop: paper, window: 250"))
     outcomes, _ = all_stages(Job(load_experiment(path), overwrite=True))
-    made = {o.item for o in outcomes if o.state == "made"}
+    made = {str(o.item) for o in outcomes if o.state == "made"}
     assert made == {"bearing/p5_n6000_prbs1", "bearing/p5_n6000_prbs2", "bearing", *SUMMARIES}
 
 
@@ -203,7 +203,7 @@ def test_a_truncated_recording_fails_its_own_items_only(again):
             file.unlink()
     job = Job(load_experiment(again / "experiment.yaml"))
     outcomes = [*run_stage(job, PREFILTER), *run_stage(job, FIT)]
-    assert {o.item: o.state for o in outcomes} == {
+    assert {str(o.item): o.state for o in outcomes} == {
         "p5_n6000_prbs1": "failed",
         "p5_n6000_prbs2": "made",
         "map p5_n6000": "made",

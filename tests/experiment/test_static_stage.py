@@ -88,7 +88,7 @@ def test_a_plateau_too_short_is_a_failure_beside_the_others(stairs, tmp_path):
     experiment = load_experiment(write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STAIRS))
     copy_results(stairs.parent / "results/stairs/recordings", experiment.results / "recordings")
     outcomes = run_stage(Job(experiment), STATIC)
-    assert [(o.item, o.state) for o in outcomes[:2]] == [("film", "failed"), ("stack4", "made")]
+    assert [(o.item.section, o.state) for o in outcomes[:2]] == [("film", "failed"), ("stack4", "made")]
     assert "hold each step longer" in outcomes[0].text
 
 

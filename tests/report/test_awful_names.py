@@ -20,6 +20,7 @@ from gbid.cli.progress import LiveBar, ProgressReporter
 from gbid.core.errors import DataError
 from gbid.core.names import file_stem, printable
 from gbid.core.tables import csv_text, html_table, markdown_table, terminal_table, titled
+from gbid.experiment.fields import Item
 from gbid.experiment.run import Outcome
 from gbid.export.chain import c_comment
 from gbid.export.matlab import save_mat
@@ -164,8 +165,8 @@ def test_progress_shows_names_as_they_are(capsys):
         for reporter in (ProgressReporter(), ProgressReporter(bar=bar)):
             for name in AWFUL:
                 reporter.expect("fit", 1, 0, 0)
-                reporter.begin("fit", name)
-                reporter.end(Outcome("fit", name, None, "failed", name))
+                reporter.begin(Item("fit", name))
+                reporter.end(Outcome(Item("fit", name), None, "failed", name))
     assert not acts_on_a_terminal(capsys.readouterr().err)
     assert "\x1b[31mred" not in console.file.getvalue()
 

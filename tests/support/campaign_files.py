@@ -15,6 +15,7 @@ from places import ROOT
 
 from gbid.cli.progress import Tally
 from gbid.core.errors import DataError, NoSpaceError
+from gbid.experiment.fields import Item
 from gbid.experiment.run import Made, Reporter, Task
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
@@ -156,8 +157,8 @@ class Watcher(Reporter):
     def expect(self, stage, todo, there, failed):
         self.tally = Tally(stage, todo, there, failed)
 
-    def begin(self, stage, item):
-        self.tally.begin(stage, item)
+    def begin(self, item):
+        self.tally.begin(item)
 
     def end(self, outcome):
         self.tally.end(outcome)
@@ -182,4 +183,4 @@ def sleep(job, part, item):
 
 def task(folder: Path, item: str, write) -> Task:
     """A task of these; the name is a hexadecimal digit, so that its key is one."""
-    return Task("toy", item, folder / f"{item}.txt", item * 64, partial(write, item=item))
+    return Task(Item("toy", item), folder / f"{item}.txt", item * 64, partial(write, item=item))

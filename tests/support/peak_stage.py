@@ -15,7 +15,7 @@ from gbid.core.errors import DataError, nearest
 from gbid.core.option_types import Positive
 from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Names, Section, Text, given
+from gbid.experiment.fields import Found, Item, Names, Section, Text, given
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Document, Job, Made, Outcome, Stage, Task, View
 from gbid.experiment.schema import ExperimentFile
@@ -55,8 +55,8 @@ def peak_tasks(job: Job) -> list[Task]:
     experiment, section = job.experiment, peaks_of(job.experiment.spec)
     tasks = []
     for planned in experiment.matching(section.recordings) if section else ():
-        path, settings = experiment.path("peaks", planned.name, ".txt"), section.model_dump(exclude={"recordings"})
-        result = experiment.result("peak", planned.name, path, settings, [recording_result(experiment, planned)])
+        settings, sources = section.model_dump(exclude={"recordings"}), [recording_result(experiment, planned)]
+        result = experiment.result(Item("peak", planned.name), "peaks", settings, sources, ending=".txt")
         tasks.append(Task.of(result, partial(_write_peak, name=planned.name), [planned.name]))
     return tasks
 
@@ -64,7 +64,7 @@ def peak_tasks(job: Job) -> list[Task]:
 def count_task(job: Job, made: Sequence[Outcome]) -> list[Task]:
     """One task for the table of all."""
     count = sum(outcome.state != "failed" for outcome in made)
-    result = job.experiment.result("peak", "count", job.path("peaks", "count", ".txt"), {"n": count})
+    result = job.experiment.result(Item("peak", "count"), "peaks", {"n": count}, ending=".txt")
     return [Task.of(result, partial(_write_count, count=count))] if count else []
 
 
@@ -84,8 +84,9 @@ def _write_count(_: Job, part: Path, count: int) -> None:
 
 def _document(_: Job, outcomes: Sequence[Outcome]) -> Document:
     """Peaks by recording."""
-    of_stage = [o for o in outcomes if o.stage == "peak" and o.state != "failed" and o.item != "count"]
-    return {"peaks": [{"recording": o.item, "peak": float(o.path.read_text().splitlines()[1])} for o in of_stage]}
+    peaks = [o for o in outcomes if o.item.stage == "peak" and o.state != "failed" and o.item.section != "count"]
+    rows = [{"recording": o.item.section, "peak": float(o.path.read_text().splitlines()[1])} for o in peaks]
+    return {"peaks": rows}
 
 
 def _tables(document: Document) -> list[Table]:

@@ -18,7 +18,7 @@ from gbid.core.errors import DataError, nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import Value, csv_rows, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, validation_pairs
-from gbid.experiment.fields import Found, Result, needed, stored_key
+from gbid.experiment.fields import Found, Item, Result, needed, stored_key
 from gbid.experiment.run import (
     Cause,
     Failure,
@@ -251,6 +251,7 @@ class FitPairs:
 
     def __init__(self, job: Job, name: str) -> None:
         self._job, self._name = job, name
+        self.path = job.path(FOLDER, name, ending=".csv")
         # A model is discretised once for all recordings; the cache of files behind it needs a content key per pair.
         self._model = lru_cache(maxsize=_MODELS_IN_MEMORY)(self._load_model)
         self._model_key = cache(lambda model: fit_result(job.experiment, name, model).key)
@@ -273,21 +274,22 @@ class FitPairs:
     @cached_property
     def table(self) -> Result:
         """Result file with the rows of all pairs."""
-        experiment, settings = self._job.experiment, {"columns": COLUMNS, "residuals": self._residuals}
-        path, keys = experiment.path(FOLDER, self._name, ".csv"), [self.of(pair).key for pair in self.possible]
-        return experiment.result("crossval", self._name, path, {"pairs": self.possible, **settings}, keys)
+        experiment = self._job.experiment
+        settings = {"columns": COLUMNS, "residuals": self._residuals, "pairs": self.possible}
+        keys = [self.of(pair).key for pair in self.possible]
+        return experiment.result(Item("crossval", self._name), FOLDER, settings, keys, ending=".csv")
 
     def of(self, pair: Pair) -> Result:
         """Return a pair as a result of its own, under which its failure is recorded."""
-        model, recording = pair
-        path = self._job.path(FOLDER, self._name, ".csv")
-        key = f"{self._model_key(model)} {self._data_key(recording)}"
-        return Result("crossval", f"{self._name}/{model} on {recording}", path, key)
+        return Result(self.item(pair), self.path, f"{self._model_key(pair[0])} {self._data_key(pair[1])}")
+
+    def item(self, pair: Pair) -> Item:
+        """Return a pair as an item."""
+        return Item("crossval", self._name, pair[0], f"{{}} on {pair[1]}")
 
     def failed(self, pair: Pair, text: str, cause: Cause) -> Outcome:
         """Return the outcome of a pair without rows."""
-        item = f"{self._name}/{pair[0]} on {pair[1]}"
-        return Outcome("crossval", item, self._job.path(FOLDER, self._name, ".csv"), "failed", text, cause=cause)
+        return Outcome(self.item(pair), self.path, "failed", text, cause=cause)
 
     def rows(self) -> tuple[list[Sequence[Value]], dict[Pair, str]]:
         """Return the rows of all pairs in order, and the reason for pairs without rows; reads each recording once."""
@@ -373,11 +375,11 @@ def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
 
 def read_summary(job: Job, name: str) -> validate.ValidationSummary | None:
     """Return the summary of the cross-validation of a fit; None unless it is made from the existing rows."""
-    path = job.path(FOLDER, f"{name}{SUMMARY}")
+    path = job.path(FOLDER, name, ending=f"{SUMMARY}.h5")
     if not path.is_file():
         return None
     summary = load(path, validate.ValidationSummary)
-    rows_key = stored_key(job.path(FOLDER, name, ".csv"))
+    rows_key = stored_key(job.path(FOLDER, name, ending=".csv"))
     return summary if _summary_result(job, name, summary.failed, rows_key, ".h5").is_made else None
 
 
@@ -406,8 +408,8 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
     """Return failed outcomes of pairs without rows, and the tasks of the summaries."""
     work: list[Task | Outcome] = []
     for outcome in made:
-        name = outcome.item
-        if outcome.state == "failed" or name not in job.experiment.spec.crossval:
+        name = outcome.item.section
+        if outcome.state == "failed":
             continue
         pairs = FitPairs(job, name)
         failed = _failed_pairs(job, pairs, _read_rows(job, name, outcome.path))
@@ -421,13 +423,14 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
 
 def _summary_result(job: Job, name: str, failed: Sequence[str], rows_key: str, ending: str) -> Result:
     """Return the result file of the summary of a table with this content key."""
-    item, settings = f"{name}{SUMMARY}", {"failed": list(failed)}
-    path = job.path(FOLDER, item, ending)
-    return job.experiment.result("crossval", f"{item}{ending}", path, settings, [rows_key])
+    item = Item("crossval", name, form=f"{{}}{SUMMARY}{ending}")
+    return job.experiment.result(item, FOLDER, {"failed": list(failed)}, [rows_key], ending=f"{SUMMARY}{ending}")
 
 
 def _write_summary(job: Job, part: Path, name: str, failed: Sequence[str], ending: str) -> None:
-    summary = validate.summarise(_scores(job, _read_rows(job, name, job.path(FOLDER, name, ".csv"))), failed=failed)
+    summary = validate.summarise(
+        _scores(job, _read_rows(job, name, job.path(FOLDER, name, ending=".csv"))), failed=failed
+    )
     if ending == ".h5":
         save(summary, part, overwrite=True)
     else:
@@ -457,7 +460,8 @@ def nominal_tasks(job: Job) -> Work:
         return [Task.of(nominal_of(job)[1], _write_nominal)]
     except DataError as error:
         fit = needed(job.experiment.spec.nominal, "nominal").fit
-        return [Outcome("nominal", fit, job.path(NOMINAL_FOLDER, fit, ".yaml"), "failed", str(error), cause="input")]
+        path = job.path(NOMINAL_FOLDER, fit, ending=".yaml")
+        return [Outcome(Item("nominal", fit), path, "failed", str(error), cause="input")]
 
 
 def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
@@ -474,8 +478,8 @@ def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
     entries = fit_entries(job, fit)
     nominal = validate.nominal_actuator(identify.tabulate(entries))
     models = [fit_result(experiment, fit, entry.model) for entry in entries if entry.result is not None]
-    path = experiment.path(NOMINAL_FOLDER, fit, ".yaml")
-    return nominal, experiment.result("nominal", fit, path, {"left_out": nominal.left_out}, models)
+    settings = {"left_out": nominal.left_out}
+    return nominal, experiment.result(Item("nominal", fit), NOMINAL_FOLDER, settings, models, ending=".yaml")
 
 
 def _write_nominal(job: Job, part: Path) -> Made:

@@ -18,13 +18,13 @@ from gbid.core.names import file_stem
 from gbid.core.tables import Table, read_values, table_of_values, write_csv
 from gbid.experiment.controllers import TUNED, controller_section, load_design, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, InputError, Result, needed, refusal
+from gbid.experiment.fields import Found, InputError, Item, Result, needed, refusal
 from gbid.experiment.machine import rig_model
 from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import MOST_ROUNDS, ImpactsSection
 from gbid.experiment.stages.fit import fit_tasks
-from gbid.experiment.stages.impact import IMPACT, study_tasks, timing_problems
+from gbid.experiment.stages.impact import IMPACT, RECORDINGS, study_tasks, timing_problems
 from gbid.experiment.stages.lpv import LPV, Surfaces
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # ---- Plan of the cycle: each round is an experiment of its own, for the stages of any experiment.
 
 FOLDER = "cycle"
-_LATER = ("lpv", "controller", "impacts")  # folders of the results that each round has for itself
+_LATER = ("lpv", "controller", "impacts", RECORDINGS)  # folders of the results that each round has for itself
 
 
 def cycle_design(experiment: Experiment) -> str:
@@ -316,10 +316,10 @@ def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
 
 def _in_round(number: int, work: Task | Outcome) -> Task | Outcome:
     """Return work of the experiment of a round as work of the experiment, with names of the round."""
-    stage, item = f"cycle {work.stage.removeprefix('cycle ')}", f"round{number}/{work.item}"
+    item = replace(work.item, stage=f"cycle {work.item.stage}", round=f"round{number}")
     if isinstance(work, Outcome):
-        return replace(work, stage=stage, item=item)
-    return replace(work, stage=stage, item=item, write=partial(_write_in_round, number=number, write=work.write))
+        return replace(work, item=item)
+    return replace(work, item=item, write=partial(_write_in_round, number=number, write=work.write))
 
 
 def _write_in_round(job: Job, part: Path, number: int, write: Callable[[Job, Path], Made | None]) -> Made | None:
@@ -328,15 +328,15 @@ def _write_in_round(job: Job, part: Path, number: int, write: Callable[[Job, Pat
 
 def first_tasks(job: Job) -> Work:
     """Return the tasks of the impacts with the design of the experiment; a failed outcome when there is none."""
-    path = job.path(FOLDER, TABLE, ".csv")
+    path = job.path(FOLDER, TABLE, ending=".csv")
     try:
         name = cycle_design(job.experiment)
         missing = read_designs(job)[1].get(name)
         if missing is None:
             return _next(_TRIALS[0], 0, job, ())
-        return [Outcome("cycle impact", "round0", path, "failed", f"design {name}: {missing}", cause="input")]
+        return [Outcome(Item("cycle impact", "round0"), path, "failed", f"design {name}: {missing}", cause="input")]
     except GbidError as error:
-        return [Outcome("cycle impact", "round0", path, "failed", str(error), cause=cause_of(error))]
+        return [Outcome(Item("cycle impact", "round0"), path, "failed", str(error), cause=cause_of(error))]
 
 
 def _table_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -358,8 +358,8 @@ def table_task(job: Job) -> Task:
         sources += study_tasks(each)
         for failed in (work for work in designs if isinstance(work, Outcome)):
             raise InputError(failed.text)
-    path = job.path(FOLDER, TABLE, ".csv")
-    return Task.of(job.experiment.result("cycle table", TABLE, path, {}, sources), _write_table)
+    result = job.experiment.result(Item("cycle table", TABLE), FOLDER, {}, sources, ending=".csv")
+    return Task.of(result, _write_table)
 
 
 def made_rows(job: Job) -> list[CycleRow]:
@@ -382,7 +382,7 @@ def made_rows(job: Job) -> list[CycleRow]:
 def _write_table(job: Job, part: Path) -> None:
     rows = []
     for number, each in enumerate(_rounds(job)):
-        fit = lpv.load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ".yaml"))
+        fit = lpv.load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ending=".yaml"))
         design = load_design(each.path(TUNED, cycle_design(job.experiment)))
         rows += [_row(number, fit, design, load(task.path, control.ImpactStudy)) for task in study_tasks(each)]
     write_csv(cycle_table(rows), part)

@@ -9,7 +9,7 @@ from pathlib import Path
 from gbid import excite, identify
 from gbid.core.errors import GbidError, nearest
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found
+from gbid.experiment.fields import Found, Item
 from gbid.experiment.recordings import excitation_limits
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ExciteSection
@@ -41,14 +41,14 @@ def excite_tasks(job: Job) -> Work:
     experiment, work = job.experiment, list[Task | Outcome]()
     for name, section in experiment.spec.excite.items():
         for entry in fit_entries(job, section.fit):
-            item = f"{name}/{entry.model}"
-            path = experiment.path(FOLDER, item, ".csv")
+            item = Item("excite", name, entry.model)
             if entry.result is None:
-                work.append(Outcome("excite", item, path, "failed", entry.failure, cause="input"))
+                path = experiment.path(FOLDER, *item.names, ending=".csv")
+                work.append(Outcome(item, path, "failed", entry.failure, cause="input"))
                 continue
             settings = {"limits": _limits(experiment, section, entry.result), **section.model_dump(exclude={"limits"})}
             source = fit_result(experiment, section.fit, entry.model)
-            result = experiment.result("excite", item, path, settings, [source])
+            result = experiment.result(item, FOLDER, settings, [source], ending=".csv")
             work.append(Task.of(result, partial(_write, name=name, model=entry.model), entry.recordings))
     return work
 

@@ -20,7 +20,7 @@ from gbid.core.index import DOCUMENT, known, version_of
 from gbid.core.tables import Row
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
+from gbid.experiment.fields import Found, Item, Location, Result, file_digest, refusal
 from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
@@ -139,21 +139,12 @@ def _parameter_problems(experiment: Experiment, name: str, section: FitSection, 
     for i, parameter in enumerate(() if section.profile == "all" else section.profile):
         if parameter not in known:
             yield ("profile", i), f"no parameter of {structure.name}; {nearest(parameter, known)}"
-    for parameter, (low, high) in section.bounds.items():
-        lower, upper = -inf if low is None else low, inf if high is None else high
-        start = starts.get(parameter, known[parameter].start) if parameter in known else None
-        if not lower < upper:
-            text = f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
-            yield ("bounds", parameter), text
-        elif start is not None and section.start != "data" and not lower <= start <= upper:
-            text = f"the bounds exclude the start value {start:g}; widen them or give another start"
-            yield ("bounds", parameter), text
-    for parameter, start in starts.items():
-        if parameter in known and parameter not in section.bounds:
-            lower, upper = known[parameter].lower, known[parameter].upper
-            if not lower <= start <= upper:
-                text = f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
-                yield ("start", parameter), text
+    for parameter in known.keys() & {**starts, **section.bounds}:
+        where, plain = ("bounds" if parameter in section.bounds else "start", parameter), known[parameter]
+        low, high = section.bounds.get(parameter, (plain.lower, plain.upper))
+        bounds = {"lower": -inf if low is None else low, "upper": inf if high is None else high}
+        start = None if section.start == "data" else starts.get(parameter, plain.start)
+        yield from refusal(where, partial(replace, plain, start=start, fixed=False, **bounds))
 
 
 def _signal_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
@@ -187,26 +178,14 @@ def _option_problems(experiment: Experiment, name: str, section: FitSection, str
         for parameter in given:
             if section.focus == "simulation" and parameter.partition("[")[0] in anatomy.gain_only:
                 yield (key, parameter), "a simulation does not use the disturbance gain; remove it"
-    weights, state, count = section.output_weights, section.initial_state, anatomy.n_states
+    weights = section.output_weights
     if weights is not None and labels and len(weights) != len(labels):
         yield ("output_weights",), f"{len(weights)} weights for {len(labels)} outputs: {', '.join(labels)}"
     if weights is not None and section.criterion == "det":
         yield ("output_weights",), "are for criterion: trace; det weighs outputs by their errors"
-    used = sorted({q.name for q in experiment.fit_recordings(name)})
-    problems = [
-        f"{len(given)} numbers for the {count} states of {structure.name}; give one each"
-        for given in (state.values() if isinstance(state, Mapping) else (state,))
-        if not isinstance(given, str) and len(given) != count
-    ]
-    if isinstance(state, Mapping) and sorted(state) != used:
-        problems.append(f"give one for each recording of the fit: {', '.join(used)}")
-    yield from ((("initial_state",), text) for text in problems)
-    if not problems:
-        free = [q for q in structure.parameters if q.name not in section.fixed]
-        try:
-            initial_states(structure, free, state, used)
-        except GbidError as error:
-            yield ("initial_state",), str(error)
+    used = dict.fromkeys(q.name for q in experiment.fit_recordings(name))
+    free = [q for q in structure.parameters if q.name not in section.fixed]
+    yield from refusal(("initial_state",), partial(initial_states, structure, free, section.initial_state, [*used]))
 
 
 def _local_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
@@ -294,8 +273,7 @@ def fit_result(experiment: Experiment, name: str, model: str) -> Result:
         files = [(file_digest(experiment.folder / each.file), each.model_dump()) for each in section.responses]
         settings["responses"] = files
     sources = [fit_input(experiment, experiment.recordings[recording]) for recording in recordings]
-    path = experiment.path(f"{FOLDER}/{name}", model)
-    return experiment.result("fit", f"{name}/{model}", path, settings, sources)
+    return experiment.result(Item("fit", name, model), FOLDER, settings, sources)
 
 
 def read_fit_summary(path: Path) -> Made:

@@ -26,7 +26,7 @@ from gbid.experiment.controllers import (
     with_actuators,
 )
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Location, Result, file_digest, needed, refusal
+from gbid.experiment.fields import Found, Item, Location, Result, file_digest, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
 from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
@@ -140,7 +140,7 @@ def expecting_model(experiment: Experiment) -> tuple[lpv.LPVModel, str]:
         return with_actuators(model), f"rig {model.name}"
     source = model_source(experiment, section.model)
     if section.model == "lpv":
-        source = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
+        source = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ending=".yaml")
         if not source.is_file():
             raise UsageError(f"{source}: file is missing; `gbid lpv` makes it")
     key = file_digest(source) if isinstance(source, Path) else source
@@ -164,7 +164,10 @@ def recording_tasks(job: Job) -> Work:
     experiment = job.experiment
     idle = loops_without_controller(experiment)
     return [
-        *(Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input") for loop, why in idle.items()),
+        *(
+            Outcome(Item("impact", loop), job.path(FOLDER, loop), "failed", why, cause="input")
+            for loop, why in idle.items()
+        ),
         *(
             Task.of(recording_result(experiment, impact), partial(_write_recording, name=name), [name])
             for name, impact in planned_impacts(experiment).items()
@@ -181,7 +184,7 @@ def study_tasks(job: Job, _: Sequence[Outcome] = ()) -> list[Task]:
         model, loop = expecting_model(job.experiment)[1], group[0].loop
         settings = {"harmonics": section.harmonics, "lags": section.lags, "model": model, "loop": loop}
         sources = [recording_result(job.experiment, impact) for impact in group]
-        result = job.experiment.result("ringdown", name, job.path(FOLDER, name), settings, sources)
+        result = job.experiment.result(Item("ringdown", name), FOLDER, settings, sources)
         names = [impact.planned.name for impact in group]
         tasks.append(Task.of(result, partial(_write_study, name=name), names, _read_study))
     return tasks
@@ -210,7 +213,7 @@ def recording_result(experiment: Experiment, impact: ImpactRecording) -> Result:
     planned, settings = impact.planned, rig_run(experiment, impact.planned).settings()
     if impact.loop != "open":
         settings |= {"controller": controller_key(experiment, impact.loop), **loop_settings(experiment)}
-    return experiment.result("impact", planned.name, experiment.path(RECORDINGS, planned.name), settings)
+    return experiment.result(Item("impact", planned.name), RECORDINGS, settings)
 
 
 def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
@@ -265,13 +268,13 @@ _TABLES = ("impacts", "responses")
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     """Return the tasks of the tables of all studies."""
-    names = [o.item for o in made if o.stage == "ringdown" and o.state != "failed"]
+    names = [o.item.section for o in made if o.item.stage == "ringdown" and o.state != "failed"]
     if not names:
         return []
-    studies = [task for task in study_tasks(job) if task.item in names]
+    studies = [task for task in study_tasks(job) if task.item.section in names]
     return [
         Task.of(
-            job.experiment.result("impact table", table, job.path(FOLDER, table, ".csv"), {"studies": names}, studies),
+            job.experiment.result(Item("impact table", table), FOLDER, {"studies": names}, studies, ending=".csv"),
             partial(_write_csv, table=table, studies=names),
         )
         for table in _TABLES

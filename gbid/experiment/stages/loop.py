@@ -17,7 +17,7 @@ from gbid.core.errors import UsageError, nearest
 from gbid.core.tables import read_values, table_of_values, write_csv
 from gbid.experiment.controllers import early_design, is_tuned, tuned_design
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location
+from gbid.experiment.fields import Found, Item, Location
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
@@ -119,8 +119,7 @@ def cost_tasks(job: Job) -> list[Task]:
         if beside is not None and _converged(job, name) and _converged(job, beside):
             models = [(fit, entry.model) for fit in (name, beside) for entry, _ in _converged(job, fit)]
             fits = [fit_result(experiment, *model) for model in models]
-            path = experiment.path(FOLDER, name, ".csv")
-            result = experiment.result("loop cost", name, path, {"beside": beside}, fits)
+            result = experiment.result(Item("loop cost", name), FOLDER, {"beside": beside}, fits, ending=".csv")
             tasks.append(Task.of(result, partial(_write, name=name, beside=beside)))
     return tasks
 

@@ -15,7 +15,7 @@ from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
+from gbid.experiment.fields import Found, InputError, Item, Location, Result, needed, refusal, stored_key
 from gbid.experiment.machine import machine_data
 from gbid.experiment.recordings import lpv_actuators
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
@@ -69,6 +69,8 @@ def _of_scheduled(experiment: Experiment, section: LpvSection, structure: Schedu
 FOLDER = "lpv"
 DIRECT = "_direct"
 """Suffix of the name of the direct LPV fit."""
+UNCERTAINTY = "{} uncertainty"
+"""How an item is written whose file is the uncertainty of surfaces, not the model."""
 
 
 class Surfaces:
@@ -97,7 +99,7 @@ class Surfaces:
         known = machine_data(experiment)
         settings |= {"machine": known} if known != lpv.MachineData() else {}
         sources = [fit_result(experiment, fit, model) for model in models]
-        return experiment.result("lpv", f"{item} uncertainty", experiment.path(FOLDER, item), settings, sources)
+        return experiment.result(Item("lpv", item, form=UNCERTAINTY), FOLDER, settings, sources)
 
     def make(self, item: str) -> lpv.LPVFit:
         """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
@@ -158,7 +160,7 @@ class Surfaces:
         known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
         if known is not None or nominal is None:
             return known or {}
-        values = validate.load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
+        values = validate.load_actuators(self._job.path("nominal", nominal.fit, ending=".yaml"))
         return {name: values[name] for name in lpv.ACTUATOR_PARAMETERS}
 
 
@@ -174,7 +176,7 @@ def lpv_tasks(job: Job) -> Work:
         return [_uncertainty_task(job, fit)]
     except GbidError as error:
         path = job.path(FOLDER, fit)
-        return [Outcome("lpv", f"{fit} uncertainty", path, "failed", str(error), cause=cause_of(error))]
+        return [Outcome(Item("lpv", fit, form=UNCERTAINTY), path, "failed", str(error), cause=cause_of(error))]
 
 
 def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -183,7 +185,7 @@ def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
     source = job.path(FOLDER, item)
     if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
         return []
-    file = Result("lpv", item, source.with_suffix(".yaml"), stored_key(source))
+    file = Result(Item("lpv", item), source.with_suffix(".yaml"), stored_key(source))
     return [Task.of(file, partial(_write_model, source=source), read=_read_status)]
 
 

@@ -12,7 +12,7 @@ from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
 from gbid.experiment.controllers import answered, stationary_at
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Result, needed
+from gbid.experiment.fields import Found, Item, Result, needed
 from gbid.experiment.recordings import (
     driving_channels,
     load_made,
@@ -64,6 +64,8 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
+MAP = "map {}"
+"""How an item is written that is the map of an operating point."""
 POSITION = "p"
 _HARMONICS_IN_LOOP = 10  # where their number is to be found from data
 
@@ -76,14 +78,14 @@ def prefilter_tasks(job: Job) -> list[Task]:
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
     experiment, section = job.experiment, needed(job.experiment.spec.prefilter, "prefilter")
-    failed = {outcome.item for outcome in made if outcome.state == "failed"}
+    failed = {outcome.item.section for outcome in made if outcome.state == "failed"}
     tasks = []
     for label, excited in _by_map(experiment).items():
         filtered = [planned for planned in excited if planned.name not in failed]
         if filtered:
             sources = [prefiltered_result(experiment, planned) for planned in filtered]
-            path = experiment.path(MAP_FOLDER, label)
-            result = experiment.result("prefilter", f"map {label}", path, section.model_dump(), sources)
+            item, settings = Item("prefilter", label, form=MAP), section.model_dump()
+            result = experiment.result(item, MAP_FOLDER, settings, sources)
             tasks.append(Task.of(result, partial(_write_map, label=label), [planned.name for planned in filtered]))
     return tasks
 
@@ -92,8 +94,8 @@ def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Res
     """Return the result file of a prefiltered recording."""
     section = needed(experiment.spec.prefilter, "prefilter")
     sources = [recording_result(experiment, q) for q in (planned, *_stills(experiment, planned))]
-    path = experiment.path(FOLDER, planned.name)
-    return experiment.result("prefilter", planned.name, path, {"name": planned.name, **section.model_dump()}, sources)
+    settings = {"name": planned.name, **section.model_dump()}
+    return experiment.result(Item("prefilter", planned.name), FOLDER, settings, sources)
 
 
 def _stills(experiment: Experiment, planned: PlannedRecording) -> list[PlannedRecording]:

@@ -11,7 +11,7 @@ from gbid.core.errors import nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, Result
+from gbid.experiment.fields import Found, Item, Location, Result
 from gbid.experiment.recordings import load_made, recording_result, refuse_bad_signals
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals
@@ -61,8 +61,7 @@ def static_tasks(job: Job) -> list[Task]:
 def static_result(experiment: Experiment, name: str) -> Result:
     """Return the result file of a static characterisation."""
     sources = [recording_result(experiment, experiment.recordings[q]) for q in _recordings(experiment, name)]
-    settings, path = experiment.spec.static[name].model_dump(), experiment.path(FOLDER, name)
-    return experiment.result("static", name, path, settings, sources)
+    return experiment.result(Item("static", name), FOLDER, experiment.spec.static[name].model_dump(), sources)
 
 
 def _recordings(experiment: Experiment, name: str) -> list[str]:
@@ -85,9 +84,9 @@ def load_made_static(job: Job, name: str) -> characterise.StaticMap | characteri
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     tasks = []
-    for name in (outcome.item for outcome in made if outcome.state != "failed"):
-        source, path = static_result(job.experiment, name), job.path(FOLDER, name, ".csv")
-        result = job.experiment.result("static", f"{name} (csv)", path, {}, [source])
+    for name in (outcome.item.section for outcome in made if outcome.state != "failed"):
+        item, source = Item("static", name, form="{} (csv)"), static_result(job.experiment, name)
+        result = job.experiment.result(item, FOLDER, {}, [source], ending=".csv")
         tasks.append(Task.of(result, partial(_write_csv, name=name)))
     return tasks
 

@@ -33,7 +33,7 @@ from gbid.experiment.controllers import (
     without_cap,
 )
 from gbid.experiment.experiment import Experiment, fit_models
-from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
+from gbid.experiment.fields import Found, InputError, Item, Location, Result, needed, refusal, stored_key
 from gbid.experiment.machine import machine_data, outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
@@ -173,13 +173,13 @@ def design_tasks(job: Job) -> Work:
             work.append(design_task(_result(job, name, surfaces)))
         except GbidError as error:
             path = job.path(TUNED, name)
-            work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
+            work.append(Outcome(Item("tune", name), path, "failed", str(error), cause="input"))
     return work
 
 
 def design_task(result: Result) -> Task:
     """Return the task that makes a design."""
-    return Task.of(result, partial(_write_design, name=result.item), read=_read_design_summary)
+    return Task.of(result, partial(_write_design, name=result.item.section), read=_read_design_summary)
 
 
 def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -189,7 +189,7 @@ def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     for name in job.experiment.spec.controller:
         design = job.path(TUNED, name)
         if design in done:
-            file = Result("controller", name, design.with_suffix(".yaml"), stored_key(design))
+            file = Result(Item("controller", name), design.with_suffix(".yaml"), stored_key(design))
             tasks.append(Task.of(file, partial(_write_controller, name=name)))
     return tasks
 
@@ -240,7 +240,7 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
     item = surfaces_item(experiment, section)
     if item is not None and item not in surfaces:
         raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
-    path = None if item is None else job.path(LPV_FOLDER, item, ".yaml")
+    path = None if item is None else job.path(LPV_FOLDER, item, ending=".yaml")
     sources = [recording_result(experiment, planned) for planned in goal_recordings(experiment, section)]
     if is_fitted(experiment, section):
         fit = str(section.model)
@@ -256,7 +256,7 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Unc
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    surfaces, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
+    surfaces, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ending=".yaml")), section.uncertainty
     model = with_actuators(surfaces.model)
     if section.robust is not None:
         return model, control.Uncertainty(surfaces.covariance, scatter=surfaces.scatter)
