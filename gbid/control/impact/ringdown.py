@@ -1,10 +1,10 @@
-"""Model of a ring-down with two degrees of freedom: free responses, offset and harmonics of the shaft angle."""
+"""Ring-down after impacts: two modes by separable least squares, with lags, offset and harmonics of the shaft angle."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -30,52 +30,6 @@ N_MECHANICAL = 8
 """Parameters of K and D."""
 _SHORTEST = 20  # smallest number of samples of a ring-down
 _STRETCHES, _SUDDEN = 20, 5.0  # a free decay grows from one of so many stretches to the next by less than this factor
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Scaling that makes the parameters of order one.
-
-    Attributes
-    ----------
-    rate : float
-        Angular frequency near that of the modes [rad/s].
-    sample_time : float
-        Time between samples [s].
-    """
-
-    rate: float
-    sample_time: float
-
-    def matrix(self, theta: FloatArray) -> FloatArray:
-        """Return the system matrix [0 I; K D] with time in units of 1/rate; theta has -K and -D row by row."""
-        A = np.zeros((4, 4))
-        A[:2, 2:] = np.eye(2)
-        A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
-        return A
-
-    def poles(self, theta: FloatArray) -> ComplexArray:
-        """Return the eigenvalues of [0 I; K D] [rad/s]."""
-        return np.asarray(self.rate * np.linalg.eigvals(self.matrix(theta)), complex)
-
-    def mechanical(self, theta: FloatArray) -> FloatArray:
-        """Return [K D] in 1/s^2 and 1/s."""
-        return np.hstack([-theta[:4].reshape(2, 2) * self.rate**2, -theta[4:8].reshape(2, 2) * self.rate])
-
-    def free(self, theta: FloatArray, n: int) -> FloatArray:
-        """Return the free responses, shape (n, 2, 4): one for each initial state."""
-        return _powers(scipy.linalg.expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
-
-    def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
-        """Return the derivatives of `free` with respect to the parameters of K and D, shape (8, n, 2, 4)."""
-        slopes = np.zeros((N_MECHANICAL, n, 2, 4))
-        A, step = self.matrix(theta), self.rate * self.sample_time
-        for i in range(N_MECHANICAL):
-            both = np.zeros((8, 8))  # the upper right block of exp([A dA; 0 A]) is the derivative of exp(A)
-            both[:4, :4] = both[4:, 4:] = A
-            both[2 + (i % 4) // 2, 4 + i % 2 + 2 * (i // 4)] = -1.0
-            slopes[i] = _powers(scipy.linalg.expm(both * step), n)[:, :2, 4:]
-        return slopes
 
 
 def _powers(F: FloatArray, n: int) -> FloatArray:
@@ -234,27 +188,6 @@ _SHORTEST_SEPARABLE = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Projected:
-    """Projected residuals and their derivatives at one set of parameters.
-
-    Attributes
-    ----------
-    residuals : list of (n_samples, 2) array
-        Weighted residuals, one array for each recording.
-    slopes : list of (n_samples, 2, n_parameters) array
-        Derivatives by Kaufman's approximation (1975), which leaves out terms proportional to the residuals.
-    """
-
-    residuals: list[FloatArray] = field(default_factory=list)
-    slopes: list[FloatArray] = field(default_factory=list)
-
-    @property
-    def squares(self) -> float:
-        """Sum of squared residuals."""
-        return float(sum((r**2).sum() for r in self.residuals))
-
-
-@dataclass(frozen=True, eq=False)
 class RingProblem:
     """Least-squares problem of free responses with common K, D and lags, and one initial state for each impact.
 
@@ -264,8 +197,10 @@ class RingProblem:
     ----------
     data : tuple of RingData
         Recordings.
-    scale : Scale
-        Scaling of the parameters.
+    rate : float
+        Angular frequency near that of the modes, which scales K and D to order one [rad/s].
+    sample_time : float
+        Time between samples [s].
     directions : tuple of int
         Directions of force: 0 for x, 1 for y.
     weights : (2,) array
@@ -275,10 +210,42 @@ class RingProblem:
     """
 
     data: tuple[RingData, ...]
-    scale: Scale
+    rate: float
+    sample_time: float
     directions: tuple[int, ...]
     weights: FloatArray = field(default_factory=lambda: np.ones(2))
     rates: tuple[complex, ...] = ()
+
+    def matrix(self, theta: FloatArray) -> FloatArray:
+        """Return the system matrix [0 I; K D] with time in units of 1/rate; theta has -K and -D row by row."""
+        A = np.zeros((4, 4))
+        A[:2, 2:] = np.eye(2)
+        A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
+        return A
+
+    def poles(self, theta: FloatArray) -> ComplexArray:
+        """Return the eigenvalues of [0 I; K D] [rad/s]."""
+        return np.asarray(self.rate * np.linalg.eigvals(self.matrix(theta)), complex)
+
+    def modes(self, theta: FloatArray) -> FloatArray:
+        """Return frequency 1 [Hz], damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
+        modes = oscillatory_modes(self.poles(theta))
+        return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)
+
+    def free(self, theta: FloatArray, n: int) -> FloatArray:
+        """Return the free responses, shape (n, 2, 4): one for each initial state."""
+        return _powers(scipy.linalg.expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
+
+    def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
+        """Return the derivatives of `free` with respect to the parameters of K and D, shape (8, n, 2, 4)."""
+        slopes = np.zeros((N_MECHANICAL, n, 2, 4))
+        A, step = self.matrix(theta), self.rate * self.sample_time
+        for i in range(N_MECHANICAL):
+            both = np.zeros((8, 8))  # the upper right block of exp([A dA; 0 A]) is the derivative of exp(A)
+            both[:4, :4] = both[4:, 4:] = A
+            both[2 + (i % 4) // 2, 4 + i % 2 + 2 * (i // 4)] = -1.0
+            slopes[i] = _powers(scipy.linalg.expm(both * step), n)[:, :2, 4:]
+        return slopes
 
     @property
     def n_values(self) -> int:
@@ -293,7 +260,7 @@ class RingProblem:
     @cached_property
     def lagging(self) -> tuple[FloatArray, ...]:
         """Force of each recording, filtered by the lags."""
-        return tuple(lagging_force(d, self.rates, self.directions, self.scale.sample_time) for d in self.data)
+        return tuple(lagging_force(d, self.rates, self.directions, self.sample_time) for d in self.data)
 
     def with_decays(self, theta: FloatArray, rates: Sequence[complex]) -> tuple[RingProblem, FloatArray, float]:
         """Return the problem with decays of given rates, its parameters, and its sum of squares.
@@ -303,20 +270,26 @@ class RingProblem:
         problem = replace(self, rates=tuple(rates))
         n_columns = len(self.directions) * sum(2 if rate.imag else 1 for rate in rates)
         longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * n_columns)])
-        at = problem.at(longer, mechanical=False)
-        slopes = np.concatenate([s.reshape(-1, 2 * n_columns) for s in at.slopes])
-        residuals = np.concatenate([r.ravel() for r in at.residuals])
+        projected, changes = problem.at(longer, mechanical=False)
+        slopes = np.concatenate([s.reshape(-1, 2 * n_columns) for s in changes])
+        residuals = np.concatenate([r.ravel() for r in projected])
         gains = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
         longer[N_MECHANICAL:] = gains
         return problem, longer, float(((residuals + slopes @ gains) ** 2).sum())
 
-    def at(self, theta: FloatArray, *, slopes: bool = True, mechanical: bool = True) -> Projected:
-        """Return the residuals and, if `slopes` is set, their derivatives; those by K and D only if `mechanical`."""
+    def at(
+        self, theta: FloatArray, *, slopes: bool = True, mechanical: bool = True
+    ) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return projected residuals (n_samples, 2) and their derivatives (n_samples, 2, n_parameters), by recording.
+
+        The derivatives are those of Kaufman's approximation (1975), which leaves out terms proportional to the
+        residuals: none without `slopes`, those by K and D only if `mechanical`.
+        """
         alive = self._alive(theta)
         longest = max(min(stop - start, alive) for d in self.data for start, stop in d.segments)
-        free = self.scale.free(theta, longest) * self.weights[:, None]
-        change = self.scale.free_slopes(theta, longest) * self.weights[:, None] if slopes and mechanical else None
-        projected = Projected()
+        free = self.free(theta, longest) * self.weights[:, None]
+        change = self.free_slopes(theta, longest) * self.weights[:, None] if slopes and mechanical else None
+        residuals, derivatives = [], []
         factors: dict[int, tuple[FloatArray, FloatArray]] = {}
         for d, lagging in zip(self.data, self.lagging, strict=True):
             segments = tuple((start, min(stop, start + alive)) for start, stop in d.segments)
@@ -327,20 +300,19 @@ class RingProblem:
             projector = _Projector(replace(d, segments=segments), [q for q, _ in bases])
             gains = theta[N_MECHANICAL:].reshape(-1, 2)
             residual, left = projector.apply(((d.position - lagging @ gains) * self.weights)[:, :, None])
-            projected.residuals.append(residual[:, :, 0])
+            residuals.append(residual[:, :, 0])
             if not slopes:
                 continue
             first = 0 if change is None else N_MECHANICAL
             changes = np.zeros((len(residual), 2, first + gains.size))
-            for (start, stop), (q, r) in zip(segments, bases, strict=True):
-                if change is None:
-                    break
-                states = scipy.linalg.solve_triangular(r, q.T @ left[start:stop].reshape(-1))
-                changes[start:stop, :, :first] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
+            if change is not None:
+                for (start, stop), (q, r) in zip(segments, bases, strict=True):
+                    states = scipy.linalg.solve_triangular(r, q.T @ left[start:stop].reshape(-1))
+                    changes[start:stop, :, :first] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
             for channel in range(2):
                 changes[:, channel, first + channel :: 2] = lagging * self.weights[channel]
-            projected.slopes.append(-projector.apply(changes)[0])
-        return projected
+            derivatives.append(-projector.apply(changes)[0])
+        return residuals, derivatives
 
     @property
     def oscillations(self) -> FloatArray:
@@ -348,46 +320,34 @@ class RingProblem:
         rates = [(abs(rate) / (2 * np.pi), rate.real / abs(rate)) for rate in self.rates if rate.imag]
         return np.array(rates).reshape(-1, 2)
 
-    def solve(self, theta: FloatArray) -> SeparableFit:
-        """Return the least-squares fit from given start values, by Levenberg-Marquardt.
+    def solve(self, theta: FloatArray) -> SeparableFit | None:
+        """Return the least-squares fit from given start values, by Levenberg-Marquardt; None when a response overflows.
 
-        Raises
-        ------
-        LinAlgError, ValueError
-            When the response at the start values or on the way overflows.
+        It may overflow at the start values or on the way.
         """
 
         @lru_cache(maxsize=1)
-        def evaluated(x: bytes) -> Projected:
+        def evaluated(x: bytes) -> tuple[list[FloatArray], list[FloatArray]]:
             return self.at(np.frombuffer(x))
 
         def residuals(x: FloatArray) -> FloatArray:
-            return np.concatenate([r.ravel() for r in evaluated(x.tobytes()).residuals])
+            return np.concatenate([r.ravel() for r in evaluated(x.tobytes())[0]])
 
         def slopes(x: FloatArray) -> FloatArray:
-            return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x.tobytes()).slopes])
+            return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x.tobytes())[1]])
 
         tolerances = {"xtol": 1e-8, "ftol": 1e-10, "gtol": 1e-12, "max_nfev": 100}
-        done = scipy.optimize.least_squares(residuals, theta, slopes, method="lm", x_scale="jac", **tolerances)
-        return SeparableFit(self, done.x, evaluated(done.x.tobytes()), done.status > 0, str(done.message))
-
-    def try_solve(self, theta: FloatArray) -> SeparableFit | None:
-        """Return the fit of `solve`; None when a response overflows."""
         with contextlib.suppress(np.linalg.LinAlgError, ValueError):
-            return self.solve(theta)
+            done = scipy.optimize.least_squares(residuals, theta, slopes, method="lm", x_scale="jac", **tolerances)
+            return SeparableFit(self, done.x, *evaluated(done.x.tobytes()), done.status > 0, str(done.message))
         return None
-
-    def go_on(self, first: SeparableFit) -> SeparableFit:
-        """Return the fit from the parameters of another one; that one, not converged, when a response overflows."""
-        again = self.try_solve(first.theta)
-        return replace(first, converged=False, message="a response overflows") if again is None else again
 
     def _alive(self, theta: FloatArray) -> int:
         """Return the number of samples until the slowest free response is below 1e-6 of its start."""
-        slowest = float(-self.scale.poles(theta).real.max())
+        slowest = float(-self.poles(theta).real.max())
         if slowest <= 1e-3:
             return sys.maxsize
-        return max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.scale.sample_time)))
+        return max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.sample_time)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,8 +360,8 @@ class SeparableFit:
         Problem that was solved.
     theta : (n_parameters,) array
         Parameters.
-    at : Projected
-        Residuals and derivatives at these parameters.
+    residuals, slopes : list of array
+        Residuals and derivatives at these parameters, see `RingProblem.at`.
     converged : bool
         Whether the solver converged.
     message : str
@@ -410,36 +370,46 @@ class SeparableFit:
 
     problem: RingProblem
     theta: FloatArray
-    at: Projected
+    residuals: list[FloatArray]
+    slopes: list[FloatArray]
     converged: bool
     message: str
 
     @property
     def mean_rate(self) -> float:
         """Mean magnitude of the eigenvalues of the two modes [rad/s]."""
-        return float(np.abs(self.problem.scale.poles(self.theta)).mean())
+        return float(np.abs(self.problem.poles(self.theta)).mean())
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared residuals."""
+        return _squares(self.residuals)
 
     @property
     def criterion(self) -> float:
         """Schwarz's criterion (BIC) up to a constant; residuals below 1e-6 of the signal count as rounding."""
         n = self.problem.n_values
         parameters = len(self.theta) + self.problem.n_linear + 2 * len(self.problem.oscillations)
-        return float(n * np.log(max(self.at.squares / n, 1e-12)) + np.log(n) * parameters)
+        return float(n * np.log(max(self.squares / n, 1e-12)) + np.log(n) * parameters)
 
     @property
     def channel_rms(self) -> FloatArray:
         """Rms residuals of x and y over all samples used."""
-        squares = sum((r**2).sum(axis=0) for r in self.at.residuals)
+        squares = sum((r**2).sum(axis=0) for r in self.residuals)
         return np.asarray(np.sqrt(squares * 2 / self.problem.n_values) / self.problem.weights)
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the parameters for correlated residuals."""
-        stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in self.at.slopes])
+        stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in self.slopes])
         bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
         used = [d.used for d in self.problem.data]
-        step = self.problem.scale.sample_time
-        return np.asarray(bread @ covariance_of_sum(self.at.slopes, self.at.residuals, used, step) @ bread)
+        middle = covariance_of_sum(self.slopes, self.residuals, used, self.problem.sample_time)
+        return np.asarray(bread @ middle @ bread)
+
+
+def _squares(residuals: list[FloatArray]) -> float:
+    return float(sum((r**2).sum() for r in residuals))
 
 
 class _Projector:
@@ -498,7 +468,7 @@ def start_candidates(
     Returns
     -------
     list of (rate, theta)
-        Angular frequency that scales K and D, and the eight parameters; see `Scale`.
+        Angular frequency that scales K and D, and the eight parameters; see `RingProblem`.
     """
     candidates = []
     for step in dict.fromkeys(max(1, round(1 / (band * sample_time))) for band in (_BAND_HZ, 2 * _BAND_HZ)):
@@ -568,7 +538,7 @@ def add_oscillations(solved: SeparableFit) -> SeparableFit:
     """
     for _ in range(_MOST):
         larger, theta, _squares = solved.problem.with_decays(solved.theta, [*solved.problem.rates, _best_rate(solved)])
-        more = larger.try_solve(theta)
+        more = larger.solve(theta)
         if more is None or solved.criterion <= more.criterion:
             break
         solved = more
@@ -603,7 +573,7 @@ _GUESSES = 2  # number of start values from which a fit is made
 
 
 def fit_lags(
-    problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]], lags: int | str
+    problem: RingProblem, guesses: Sequence[tuple[float, FloatArray]], lags: int | Literal["auto"]
 ) -> SeparableFit:
     """Return the fit of two modes, with lags when they are requested or when the data require them.
 
@@ -614,10 +584,10 @@ def fit_lags(
 
     Parameters
     ----------
-    problems : callable
-        Returns the problem for a rate [rad/s] that scales K and D.
+    problem : RingProblem
+        The problem without lags.
     guesses : sequence of (rate, theta)
-        Start values.
+        Rates [rad/s] that scale K and D, and start values.
     lags : int or "auto"
         Number of lags.
 
@@ -630,34 +600,28 @@ def fit_lags(
     DataError
         When two modes cannot be fitted.
     """
-    solved = _fit_modes(problems, guesses)
-    count = LAGS if lags == "auto" else int(lags)
+    tries = []
+    for rate, theta in guesses:
+        scaled = replace(problem, rate=rate)
+        with contextlib.suppress(np.linalg.LinAlgError, ValueError):  # the response of an unstable guess can overflow
+            tries.append((_squares(scaled.at(theta, slopes=False)[0]), scaled, theta))
+    best = sorted((t for t in tries if np.isfinite(t[0])), key=lambda t: t[0])[:_GUESSES]
+    fits = [fit for _, scaled, theta in best if (fit := scaled.solve(theta)) is not None]
+    where = f"recording {problem.data[0].name!r}"
+    if not fits:
+        raise DataError(f"{where}: no two modes fit the ring-down; give start=[(f, zeta), ...]")
+    solved = min(fits, key=lambda fit: fit.squares)
+    count = LAGS if lags == "auto" else lags
     if count == 0:
         return solved
     steps = np.geomspace(_SLOWEST, _FASTEST, count) if count > 1 else np.array([np.sqrt(_SLOWEST * _FASTEST)])
     larger, theta, _ = solved.problem.with_decays(solved.theta, (solved.mean_rate * steps).tolist())
-    more = larger.try_solve(theta)
+    more = larger.solve(theta)
     if lags == "auto":
         return solved if more is None or solved.criterion <= more.criterion else add_oscillations(more)
     if more is None:
-        name = larger.data[0].name
-        raise DataError(f"recording {name!r}: no fit with {lags} lags; use fewer, or lags='auto'")
+        raise DataError(f"{where}: no fit with {lags} lags; use fewer, or lags='auto'")
     return more
-
-
-def _fit_modes(problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]]) -> SeparableFit:
-    """Return the fit of two modes without lags, from the best of the guesses."""
-    tries = []
-    for rate, theta in guesses:
-        with contextlib.suppress(np.linalg.LinAlgError, ValueError):  # the response of an unstable guess can overflow
-            tries.append((problems(rate).at(theta, slopes=False).squares, rate, theta))
-    best = sorted((t for t in tries if np.isfinite(t[0])), key=lambda t: t[0])[:_GUESSES]
-    fits = [fit for _, rate, theta in best if (fit := problems(rate).try_solve(theta)) is not None]
-    if not fits:
-        raise DataError(
-            f"recording {problems(1.0).data[0].name!r}: no two modes fit the ring-down; give start=[(f, zeta), ...]"
-        )
-    return min(fits, key=lambda fit: fit.at.squares)
 
 
 # ---- Covariance of least squares when the residuals are correlated in time and between channels.
@@ -796,12 +760,6 @@ class RingDown(Brief):
         return np.column_stack([centre - half, centre + half])
 
 
-def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
-    """Return frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
-    modes = oscillatory_modes(scale.poles(theta))
-    return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)
-
-
 # ---- Modes of a rotor identified from its ring-down after impacts ("obtained experimentally" in Tables 3 and 4).
 #
 # After an impact the disc moves freely. The model has two degrees of freedom, and decays without oscillation:
@@ -884,15 +842,11 @@ def fit_ringdown(
     data = tuple(replace(d, position=d.position / unit) for d in data)
 
     directions = tuple(i for i, word in enumerate("xy") if any(hit.axis == word for hits in impacts for hit in hits))
-
-    def problems(rate: float) -> RingProblem:
-        return RingProblem(data, Scale(rate, h), directions)
-
-    solved = fit_lags(problems, start_candidates(data, h, start), lags)
+    solved = fit_lags(RingProblem(data, 1.0, h, directions), start_candidates(data, h, start), lags)
     rms = solved.channel_rms
     if (rms > 0).all():  # the noise of the channels differs: fit again with weights from the residuals
-        weights = float(np.sqrt(np.mean(rms**2))) / rms
-        solved = replace(solved.problem, weights=weights).go_on(solved)
+        weighted = replace(solved.problem, weights=float(np.sqrt(np.mean(rms**2))) / rms).solve(solved.theta)
+        solved = weighted or replace(solved, converged=False, message="a response overflows")
     return _result(solved, group, unit, impacts, max(counts))
 
 
@@ -917,20 +871,20 @@ def _result(
     harmonics: int,
 ) -> RingDown:
     """Return the modes of a fit with their covariance, with the positions in `unit` m."""
-    theta, scale = solved.theta, solved.problem.scale
-    K, D = np.hsplit(scale.mechanical(theta), 2)
-    modes = two_modes(theta, scale)
+    theta, problem = solved.theta, solved.problem
+    K, D = -theta[:4].reshape(2, 2) * problem.rate**2, -theta[4:8].reshape(2, 2) * problem.rate
+    modes = problem.modes(theta)
     spread = np.full((4, 4), np.nan)
     status = RingDownStatus.CONVERGED if solved.converged else RingDownStatus.NOT_CONVERGED
     if np.isnan(modes).any():
         status = RingDownStatus.NO_OSCILLATIONS
     else:
         steps = 1e-6 * np.eye(len(theta))
-        slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
+        slope = np.column_stack([(problem.modes(theta + s) - problem.modes(theta - s)) / 2e-6 for s in steps])
         spread = slope @ solved.covariance @ slope.T
     std = np.sqrt(np.diag(spread))
     doubles = sum(impact.pulses > 1 for each in impacts for impact in each)
-    further = solved.problem.oscillations
+    further = problem.oscillations
     words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
     notes = []
     if not solved.converged:
@@ -952,7 +906,7 @@ def _result(
         spread,
         K,
         D,
-        np.array([rate.real for rate in solved.problem.rates if not rate.imag]),
+        np.array([rate.real for rate in problem.rates if not rate.imag]),
         solved.channel_rms * unit,
         sum(map(len, impacts)),
         tuple(rec.name for rec in group),
