@@ -67,13 +67,13 @@ class DirectCall:
         """Return the blocks of each output: (m, rows, columns), or derivatives (m, d, rows, columns)."""
         self._input[: len(x)] = x
         self._trigger()
-        return [output.take(order) for output, order in zip(self._outputs, self._orders, strict=True)]
+        return list(map(np.take, self._outputs, self._orders))
 
 
 # ---- Closed-loop matrices as functions of the gains, at many operating points at once.
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loops:
     """Matrices of m loops: A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d)."""
 
@@ -92,7 +92,7 @@ class Loops:
         return type(self)(*(getattr(self, entry.name)[loops] for entry in fields(self)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Derivatives(Loops):
     """Matrices of m loops, and the derivatives of ``[[A, B], [C, D]]`` by d gains as products ``left core right``.
 
@@ -202,7 +202,7 @@ class LoopFamily(ABC):
 
     def bend(self, gains: FloatArray, steps: FloatArray) -> FloatArray:
         """Return derivatives (m, d, d, k, l) of the core of the derivatives, by differences of given steps (d,)."""
-        near = np.stack([self.core(moved) for moved in gains + np.diag(steps)], axis=1)
+        near = np.stack(list(map(self.core, gains + np.diag(steps))), axis=1)
         return np.asarray((near - self.core(gains)[:, None]) / steps[:, None, None, None])
 
     def states(self, gains: FloatArray, loops: slice = slice(None)) -> FloatArray:
@@ -310,14 +310,8 @@ def _family_of_functions(group: list[tuple[str, ca.Function]], n_gains: int, n_d
 # ---- Loops of plants and one controller: continuous, or sampled in the plane of the search.
 
 
-@dataclass(frozen=True, eq=False)
-class PlantMatrices:
+class PlantMatrices(Loops):
     """Matrices of m plants of equal size: A (m, n, n), B (m, n, n_r), C (m, n_p, n), D (m, n_p, n_r)."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
 
     @classmethod
     def stacked(cls, models: Sequence[LinearModel]) -> PlantMatrices:
@@ -524,14 +518,8 @@ class WholePlants:
     driven: tuple[str, ...]
     measured: tuple[str, ...]
 
-    def controlled(self) -> PlantMatrices:
-        """Plants with the channels of the controller."""
-        A, B, C, D = vars(self.plants).values()
-        r, p = ([all_names.index(name) for name in own] for all_names, own in self._channels)
-        return PlantMatrices(A, B[:, :, r], C[:, p], D[:, p][:, :, r])
-
-    def ports(self, path: Path) -> Ports:
-        """Disturbances and outputs of a path.
+    def along(self, path: Path) -> tuple[PlantMatrices, Ports]:
+        """Plants with the channels of the controller, and disturbances and outputs of a path.
 
         Raises
         ------
@@ -539,15 +527,14 @@ class WholePlants:
             When the plant has no such signals.
         """
         A, B, C, D = vars(self.plants).values()
-        r, p = ([all_names.index(name) for name in own] for all_names, own in self._channels)
-        for name in path.sources:
-            if name not in (*self.inputs, *self.measured):
-                known = ", ".join((*self.inputs, *self.measured))
-                raise UsageError(f"no source {name!r}; there are the inputs and measured outputs {known}")
-        for name in path.targets:
-            if name not in (*self.outputs, *self.driven):
-                known = ", ".join((*self.outputs, *self.driven))
-                raise UsageError(f"no target {name!r}; there are the outputs and driven inputs {known}")
+        r, p = [self.inputs.index(name) for name in self.driven], [self.outputs.index(name) for name in self.measured]
+        for what, names, known, kinds in (
+            ("source", path.sources, (*self.inputs, *self.measured), "inputs and measured outputs"),
+            ("target", path.targets, (*self.outputs, *self.driven), "outputs and driven inputs"),
+        ):
+            for name in names:
+                if name not in known:
+                    raise UsageError(f"no {what} {name!r}; there are the {kinds} {', '.join(known)}")
         q = [self.outputs.index(name) for name in path.targets if name in self.outputs]
         E, J = np.zeros((*A.shape[:2], len(path.sources))), np.zeros((len(A), len(self.outputs), len(path.sources)))
         for i, name in enumerate(path.sources):
@@ -557,11 +544,8 @@ class WholePlants:
                 J[:, self.outputs.index(name), i] = 1.0
         places = iter(range(len(q)))
         rows = [next(places) if name in self.outputs else len(q) + self.driven.index(name) for name in path.targets]
-        return Ports(E, J[:, p], C[:, q], D[:, q][:, :, r], J[:, q], rows)
-
-    @property
-    def _channels(self) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
-        return (self.inputs, self.driven), (self.outputs, self.measured)
+        ports = Ports(E, J[:, p], C[:, q], D[:, q][:, :, r], J[:, q], rows)
+        return PlantMatrices(A, B[:, :, r], C[:, p], D[:, p][:, :, r]), ports
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -611,10 +595,8 @@ class ControlLoops(LoopFamily):
             return self.companion.along(path)
         if path not in self._paths:
             assert self.whole is not None
-            whole = self.whole()
-            self._paths[path] = replace(
-                self, plants=whole.controlled(), ports=whole.ports(path), n_outputs=len(path.targets)
-            )
+            plants, ports = self.whole().along(path)
+            self._paths[path] = replace(self, plants=plants, ports=ports, n_outputs=len(path.targets))
         return self._paths[path]
 
     @cached_property
@@ -651,9 +633,10 @@ class ControlLoops(LoopFamily):
 
     def matrices(self, gains: FloatArray, loops: slice = slice(None)) -> Loops:
         """Return the matrices of some loops."""
-        K = self.law.in_plane(self._calls[0](gains)[0])
-        K = K[loops] if self.law.scheduled else K
-        rest, left, right, E = (part[loops] for part in self._frame)
+        K, (rest, left, right, E) = self.law.in_plane(self._calls[0](gains)[0]), self._frame
+        if loops != slice(None):
+            K = K[loops] if self.law.scheduled else K
+            rest, left, right, E = rest[loops], left[loops], right[loops], E[loops]
         if E.any():
             K = inverses(np.eye(K.shape[-2]) - K @ E) @ K
         system, n = rest + left @ K @ right, self.plants.A.shape[-1] + self.law.n_states
@@ -671,4 +654,5 @@ class ControlLoops(LoopFamily):
 
     def core(self, gains: FloatArray) -> FloatArray:
         """Return the derivatives of the controller."""
-        return self.law.slopes_in_plane(*(call(gains)[0] for call in self._calls))
+        values, slopes = self._calls
+        return self.law.slopes_in_plane(values(gains)[0], slopes(gains)[0])

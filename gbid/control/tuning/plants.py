@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain
 from typing import Annotated, Any, Literal, Self
 
 import casadi as ca
@@ -390,14 +389,6 @@ class Plants(ABC):
         return tuple(rows)
 
 
-def corners(points: FloatArray) -> list[int]:
-    """Return the indices of the points nearest to the corners of the rectangle that contains all points."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    unit = (points - low) / np.where(high > low, high - low, 1.0)
-    places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
-
-
 # ---- Plants of an LPV model at operating points, with all drawn plants.
 
 
@@ -520,7 +511,10 @@ class LpvPlants(Plants):
 
     def first(self, points: FloatArray) -> list[int]:
         """Points nearest to the corners of the operating range."""
-        return corners(points)
+        low, high = points.min(axis=0), points.max(axis=0)
+        unit = (points - low) / np.where(high > low, high - low, 1.0)
+        places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
+        return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
 
 
 # ---- Plants given as linear models: any plants with named inputs and outputs.
@@ -630,7 +624,20 @@ def checked_models(
                     f"controller {structure.name!r} has {len(names)} {what} ({', '.join(names)}), the plant "
                     f"{model.name!r} {n}; choose channels by inputs= and outputs=, or axes= of the structure"
                 )
-        plants.append(_channels(model, columns, rows))
+        delayed = None if model.B_delayed is None else model.B_delayed[:, columns]
+        chosen = replace(
+            model,
+            B=model.B[:, columns],
+            C=model.C[rows],
+            D=model.D[np.ix_(rows, columns)],
+            K=None,
+            intersample=None,
+            B_delayed=delayed,
+            delay=None if model.delay is None else model.delay[columns],
+            input_names=tuple(model.input_names[i] for i in columns),
+            output_names=tuple(model.output_names[i] for i in rows),
+        )
+        plants.append(chosen)
     return tuple(plants)
 
 
@@ -650,22 +657,6 @@ def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequen
     return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
 
 
-def _channels(model: LinearModel, columns: list[int], rows: list[int]) -> LinearModel:
-    delayed = None if model.B_delayed is None else model.B_delayed[:, columns]
-    return LinearModel(
-        model.A,
-        model.B[:, columns],
-        model.C[rows],
-        model.D[np.ix_(rows, columns)],
-        input_names=tuple(model.input_names[i] for i in columns),
-        output_names=tuple(model.output_names[i] for i in rows),
-        state_names=model.state_names,
-        name=model.name,
-        B_delayed=delayed,
-        delay=None if model.delay is None else model.delay[columns],
-    )
-
-
 # ---- Plants of a design from what a user gives: an LPV model, linear models, fits, or a list of these.
 
 
@@ -677,20 +668,18 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
     UsageError
         When a model is of another kind, or when options do not belong to it.
     """
-    if isinstance(model, LPVFit):
-        model = model.model
-    if isinstance(model, LPVModel):
+    labels = list(model) if isinstance(model, Mapping) else []
+    several = [*model.values()] if isinstance(model, Mapping) else [*model] if isinstance(model, Sequence) else [model]
+    if not several:
+        raise UsageError("tune: no models")
+    given = [each.model if isinstance(each, LPVFit) else each for each in several]
+    machines = [each for each in given if isinstance(each, LPVModel)]
+    if machines and not isinstance(model, Mapping | Sequence):
         if (options.inputs, options.outputs) != (None, None):
             raise UsageError("tune: inputs and outputs choose channels of linear models; an LPV model has r and p")
         if options.speeds_rpm is not None:
             raise UsageError("tune: speeds_rpm belongs to linear models; an LPV model has operating_points")
-        return LpvPlants.of(model, structure, options)
-    labels = list(model) if isinstance(model, Mapping) else []
-    given = [*model.values()] if isinstance(model, Mapping) else [*model] if isinstance(model, Sequence) else [model]
-    if not given:
-        raise UsageError("tune: no models")
-    surfaces = [each.model if isinstance(each, LPVFit) else each for each in given]
-    machines = [each for each in surfaces if isinstance(each, LPVModel)]
+        return LpvPlants.of(machines[0], structure, options)
     if len(machines) == len(given) and not (options.inputs or options.outputs or options.uncertainty):
         first, *others = machines
         alike = (first.actuators, first.pade_order, first.domain)
@@ -698,12 +687,12 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
             return LpvPlants.of(first, structure, options, tuple(others))
     if options.uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
-    several = [_linear(each, options) for each in given]
-    for i, label in enumerate(labels):
-        several[i] = [
-            replace(one, name=label if len(several[i]) == 1 else f"{label}, {one.name}") for one in several[i]
-        ]
-    models = [*chain.from_iterable(several)]
+    models: list[LinearModel] = []
+    for i, each in enumerate(given):
+        linear = _linear(each, options)
+        if labels:
+            linear = [replace(one, name=labels[i] + (f", {one.name}" if linear[1:] else "")) for one in linear]
+        models += linear
     speeds = np.zeros(len(models)) if options.speeds_rpm is None else np.array(options.speeds_rpm, float)
     if speeds.shape != (len(models),) or not np.isfinite(speeds).all():
         raise UsageError(f"tune: speeds_rpm = {options.speeds_rpm} for {len(models)} models; give a speed for each")
@@ -714,7 +703,7 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
             "give speeds_rpm=, and terms of the speed only"
         )
     for name in ("operating_points", "actuator"):
-        if getattr(options, name) is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
+        if getattr(options, name) is not None and not machines:
             raise UsageError(f"tune: {name} belongs to LPV models; leave it out")
     chosen = checked_models(models, structure, options.inputs, options.outputs)
     pressure = structure.domain.pressure_bar[0] if isinstance(structure, Scheduled) else 0.0
@@ -735,14 +724,10 @@ def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVM
 
 def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
     """Linear models of one entry of a list: one for each operating point of an LPV model."""
-    if isinstance(given, LPVFit):
-        given = given.model
     if isinstance(given, LPVModel):
         machine = _with_actuators(given, options.actuator)
-        places = [(float(P), float(Omega)) for P, Omega in _points(machine, options.operating_points)]
-        return [
-            machine.plant_at(*place) if options.sampling is None else exact_plant(machine, *place) for place in places
-        ]
+        plant_at = machine.plant_at if options.sampling is None else partial(exact_plant, machine)
+        return [plant_at(float(P), float(Omega)) for P, Omega in _points(machine, options.operating_points)]
     model = given.model if isinstance(given, FitResult) else given
     if not isinstance(model, LinearModel):
         raise UsageError(
