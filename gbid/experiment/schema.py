@@ -291,6 +291,12 @@ KINDS: dict[str, Kind] = {
 """Words for the kind of a recording in file names and tables."""
 
 
+class CalibrationSection(Section):
+    """Points of a calibration sheet: numbers in the file, and values in the unit of the signal."""
+
+    points: Annotated[list[tuple[Finite, Finite]], Field(min_length=2)]
+
+
 class ColumnsSection(Section):
     """Columns of one signal in a file; see `gbid.recording.SignalMapping`.
 
@@ -304,6 +310,9 @@ class ColumnsSection(Section):
     channels: Names | None = None
     hold: Switch = False
     interpolate: Switch = False
+    scale: Finite | list[Finite] | None = None
+    offset: Finite | list[Finite] | None = None
+    calibration: CalibrationSection | list[CalibrationSection] | None = None
     rests_at_limits: Switch = False
 
 

@@ -42,8 +42,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     -------
     Recording
         Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
-        ``source_sha256``, ``source_rows`` (their number, the first and the last), ``source_samples``, and
-        ``import_remarks`` on rows left out, gaps, doubled samples and jitter.
+        ``source_sha256``, ``source_rows`` (their number, the first and the last), ``source_samples``,
+        ``import_remarks`` on rows left out, gaps, doubled samples and jitter, and the ``calibration`` of columns.
 
     Raises
     ------
@@ -74,9 +74,10 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     clock = read_clock(path, mapping, columns, start)
     columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
     first, last = start + int(clock.rows[0]), start + int(clock.rows[-1])
-    signals, units = {}, {}
+    signals, units, calibrated = {}, {}, list[str]()
     for name, signal in mapping.signals.items():
         signals[name], units[name] = _signal(path, name, signal, columns)
+        calibrated += _calibration_in_words(name, signal, columns)
         if clock.time is not None:
             if np.isnan(signals[name]).any():
                 raise DataError(
@@ -95,6 +96,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     ]
     said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks, *missing) if text]
     remarks = {"import_remarks": "; ".join(said)} if said else {}
+    remarks |= {"calibration": "; ".join(calibrated)} if calibrated else {}
     held = [name for name, signal in mapping.signals.items() if signal.hold]
     on_lines = [name for name, signal in mapping.signals.items() if signal.interpolate]
     try:
@@ -291,9 +293,11 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
     known = SIGNALS.get(name)
     stored = known.unit if known and signal.stored_unit is None else signal.stored_unit
     units = {}
+    calibrations = dict(zip(signal.columns, signal.calibrations, strict=True))
     for column in signal.columns:
         what = f"signal {name!r}, column {column!r}"
-        unit = file_unit(path, what, signal.unit, columns[column].unit)
+        stated = columns[column].unit if calibrations[column] is None else None  # a calibration takes it away
+        unit = file_unit(path, what, signal.unit, stated)
         if unit is None and stored:
             instead = f"; {_another(name, '...')}" if known and signal.stored_unit is None else ""
             text = f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored}){instead}"
@@ -309,9 +313,23 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
             if known is None or signal.stored_unit is not None:
                 raise
             raise UsageError(f"{error}; {_another(name, units[column])}") from None
+        calibration, numbers = calibrations[column], columns[column].values
         with np.errstate(over="ignore"):  # the recording refuses what is not finite
-            values.append(columns[column].values * factor)
+            values.append((numbers if calibration is None else calibration.apply(numbers)) * factor)
     return np.column_stack(values), stored
+
+
+def _calibration_in_words(name: str, signal: SignalMapping, columns: Mapping[str, FileColumn]) -> list[str]:
+    """Return how the columns of a signal were calibrated, and where numbers lie beyond a calibration sheet."""
+    said = []
+    for column, calibration in zip(signal.columns, signal.calibrations, strict=True):
+        if calibration is None:
+            continue
+        points = [f"{number:g} is {value:g} {signal.unit}" for number, value in calibration.points]
+        text = f"{name}, {column}: {', '.join(points[:2] if len(points) == 2 else (points[0], '...', points[-1]))}"
+        beyond = 0 if signal.calibration is None else calibration.beyond(columns[column].values)
+        said.append(f"{text}, {beyond} samples beyond these points" if beyond else text)
+    return said
 
 
 def _another(name: str, unit: str) -> str:

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
+from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
 
@@ -77,6 +80,45 @@ class FilePart(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """Calibration of a column: values in the unit of its signal, from the numbers in the file.
+
+    Parameters
+    ----------
+    points : tuple of (float, float)
+        Numbers in the file and values, from a calibration sheet; straight lines between them, which go on beyond the
+        first and the last point.
+
+    Raises
+    ------
+    UsageError
+        When there are fewer than two points, or when two have the same number.
+    """
+
+    points: tuple[tuple[Finite, Finite], ...]
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        rising = tuple(sorted((float(number), float(value)) for number, value in self.points))
+        object.__setattr__(self, "points", rising)
+        if len({number for number, _ in rising}) < max(2, len(rising)):
+            raise UsageError(
+                "calibration: points: give at least two pairs [number in the file, value], with different numbers"
+            )
+
+    def apply(self, numbers: FloatArray) -> FloatArray:
+        """Return calibrated values of numbers (n_samples,)."""
+        x, y = np.array(self.points).T
+        slopes = np.diff(y) / np.diff(x)
+        k = np.clip(np.searchsorted(x, numbers) - 1, 0, len(slopes) - 1)
+        return np.asarray(y[k] + slopes[k] * (numbers - x[k]))
+
+    def beyond(self, numbers: FloatArray) -> int:
+        """Return how many numbers lie beyond the points."""
+        return int(np.sum((numbers < self.points[0][0]) | (numbers > self.points[-1][0])))
+
+
+@dataclass(frozen=True)
 class SignalMapping:
     """Columns of a file that make up one signal of a recording.
 
@@ -88,7 +130,8 @@ class SignalMapping:
         (``"noise[0]"``, counted from 0). Fields of a MATLAB struct or object have dotted names (``"data.u[0]"``).
         `gbid peek FILE` shows the names of any file.
     unit : str, optional
-        Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
+        Unit of the numbers in the file, after their calibration where there is one. When it is not given, the unit in
+        the csv header is used.
     stored_unit : str, optional
         Unit in the recording. When it is not given, it is the SI unit of a signal of the rig
         (`gbid.core.units.SIGNALS`), otherwise the unit of the file.
@@ -99,6 +142,11 @@ class SignalMapping:
     interpolate : bool
         Whether missing samples lie on a straight line in time between those around them, as an input with first-order
         hold does.
+    scale, offset : float or tuple of float, optional
+        Calibration of each column, ``scale * number + offset`` in `unit`, which must be given; one number for all
+        columns, or one for each.
+    calibration : Calibration or tuple of Calibration, optional
+        The same from the points of a calibration sheet: ``{"points": [[0.0, 0.0], [10.0, 125.0]]}``.
 
     Raises
     ------
@@ -112,9 +160,13 @@ class SignalMapping:
     channels: tuple[str, ...] | None = None
     hold: bool = False
     interpolate: bool = False
+    scale: Finite | tuple[Finite, ...] | None = None
+    offset: Finite | tuple[Finite, ...] | None = None
+    calibration: Calibration | tuple[Calibration, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", _words("columns", self.columns))
+        object.__setattr__(self, "calibration", _calibrations(self.calibration))
         if self.hold and self.interpolate:
             raise UsageError("hold and interpolate are both true; an input is one of them between its samples")
         if self.channels is not None:
@@ -122,6 +174,25 @@ class SignalMapping:
             if len(self.channels) != len(self.columns):
                 raise UsageError(f"{len(self.columns)} columns but {len(self.channels)} channels; give one name each")
         check_options(self)
+        _ = self.calibrations  # its checks
+
+    @property
+    def calibrations(self) -> tuple[Calibration | None, ...]:
+        """Calibration of each column; None where the numbers are taken as they are."""
+        given = [key for key in ("scale", "offset", "calibration") if getattr(self, key) is not None]
+        if not given:
+            return (None,) * len(self.columns)
+        if self.unit is None:
+            raise UsageError(f"{given[0]}: give unit, too: that of the calibrated values")
+        if len(given) > 1 and "calibration" in given:
+            raise UsageError(f"{given[0]} and calibration are both given; keep one")
+        if self.calibration is not None:
+            return tuple(_each("calibration", self.calibration, len(self.columns)))
+        scales = _each("scale", 1.0 if self.scale is None else self.scale, len(self.columns))
+        offsets = _each("offset", self.offset or 0.0, len(self.columns))
+        if 0 in scales:
+            raise UsageError("scale = 0; give what one unit of the numbers in the file is in the unit of the signal")
+        return tuple(Calibration(((0.0, b), (1.0, a + b))) for a, b in zip(scales, offsets, strict=True))
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
@@ -269,6 +340,24 @@ def _signals(signals: object) -> dict[str, SignalMapping]:
         except UsageError as error:
             raise UsageError(f"signals: {name}: {error}") from None
     return result
+
+
+def _calibrations(value: Any) -> Any:
+    """Return calibrations given by plain dicts as values, and other types as they are."""
+    if isinstance(value, Mapping):
+        _check_keys(value, ["points"], needed=["points"])
+        points = value["points"]
+        is_list = isinstance(points, list | tuple) and all(isinstance(each, list | tuple) for each in points)
+        return Calibration(tuple(map(tuple, points)) if is_list else points)
+    return tuple(map(_calibrations, value)) if isinstance(value, list | tuple) else value
+
+
+def _each(key: str, value: Any, count: int) -> tuple[Any, ...]:
+    """Return one value for each column."""
+    values = tuple(value) if isinstance(value, list | tuple) else (value,) * count
+    if len(values) != count:
+        raise UsageError(f"{key}: {len(values)} for {count} columns; give one for all columns, or one for each")
+    return values
 
 
 def _words(key: str, value: object) -> tuple[str, ...]:
