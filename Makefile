@@ -4,7 +4,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 # One more than two processors: many tests wait for a process that they started.
 JOBS ?= 3
-export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # One thread in each BLAS: the matrices here are small, and workers run side by side.
 export OPENBLAS_NUM_THREADS := 1
@@ -12,28 +11,25 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-quick lint types imports unit test-slow kills fuzz bench licences docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow kills fuzz bench pins licences docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-# What runs with `make run` is compared with its digest; pip takes none for an editable package, so that comes after.
-$(VENV)/.installed: pyproject.toml constraints.txt requirements.txt
+# Files are compared with their digests. The list names all that is needed, so pip looks for nothing besides: it takes no
+# digest for an editable package, and gets the build tools of gbid from the list, too.
+PINNED := -m pip install --quiet --no-deps --require-hashes --requirement
+GBID := -m pip install --quiet --no-deps --no-build-isolation --editable .
+
+$(VENV)/.installed: pyproject.toml requirements.txt
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT= $(BIN)/python -m pip install --quiet --require-hashes --requirement requirements.txt
-	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	sed '/^# ---- tests and docs/,$$d' requirements.txt > $(VENV)/needed.txt
+	$(BIN)/python $(PINNED) $(VENV)/needed.txt
+	$(BIN)/python $(GBID)
 	@touch $@
 
-# What ROSS imports. Its own list of dependencies has clients of Google's services, which no test needs.
-FOR_ROSS := CoolProp ctREFPROP methodtools numba openpyxl prettytable scikit-learn toml tqdm
-
-$(VENV)/.installed-test: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --editable '.[test]' $(FOR_ROSS)
-	$(BIN)/python -m pip install --quiet --no-deps ross-rotordynamics ccp-performance
-	@touch $@
-
-$(VENV)/.installed-docs: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+$(VENV)/.installed-tools: $(VENV)/.installed
+	$(BIN)/python $(PINNED) requirements.txt
 	@touch $@
 
 run: $(VENV)/.installed  ## the main job: rig, prefilter, fit, cross-validate, the picture
@@ -42,20 +38,20 @@ run: $(VENV)/.installed  ## the main job: rig, prefilter, fit, cross-validate, t
 test: lint imports  ## everything that must hold before a change lands
 	$(MAKE) --jobs 2 types unit
 
-lint: $(VENV)/.installed-test  ## ruff: style and common faults
+lint: $(VENV)/.installed-tools  ## ruff: style and common faults
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(VENV)/.installed-test  ## mypy, strict
+types: $(VENV)/.installed-tools  ## mypy, strict
 	$(BIN)/mypy
 
-imports: $(VENV)/.installed-test  ## the layers of the house plan
+imports: $(VENV)/.installed-tools  ## the layers of the house plan
 	$(BIN)/lint-imports
 
 # Thousands of small files are written through to the disk, which tests wait for. They fit into memory where it has room.
 ROOM = $(shell df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 && $$4 > 2000000 {print "TMPDIR=/dev/shm"}')
 
-unit: $(VENV)/.installed-test  ## the tests, warnings as errors
+unit: $(VENV)/.installed-tools  ## the tests, warnings as errors
 	$(ROOM) $(BIN)/pytest -n $(JOBS) --dist worksteal
 
 # The heart: a recording, its fit, surfaces, gains, and one experiment through the command line.
@@ -66,15 +62,15 @@ QUICK := tests/house tests/recording/test_recording.py tests/recording/test_reco
 	tests/cli/test_cli.py::test_run_prints_data_on_stdout_and_progress_on_stderr
 LEFT_TO_TEST := $(foreach name,docs benchmarks packaging old_files fuzz,--ignore=tests/house/test_$(name).py)
 
-test-quick: $(VENV)/.installed-test  ## style, layers, and the tests of the heart, in less than a minute
+test-quick: $(VENV)/.installed-tools  ## style, layers, and the tests of the heart, in less than a minute
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q -n $(JOBS) --dist worksteal $(LEFT_TO_TEST) $(QUICK)
 
-test-slow: $(VENV)/.installed-test  ## the long studies
+test-slow: $(VENV)/.installed-tools  ## the long studies
 	$(BIN)/pytest -m slow -s
 
-fuzz: $(VENV)/.installed-test  ## damaged files of all kinds for an hour, then 5000 wrong calls of the public names; MINUTES=, COUNT=, SEED=, JOBS=, REPLAY=SEED/NUMBER, FIGURES= or AGAIN=docs/fuzz.json
+fuzz: $(VENV)/.installed-tools  ## damaged files of all kinds for an hour, then 5000 wrong calls of the public names; MINUTES=, COUNT=, SEED=, JOBS=, REPLAY=SEED/NUMBER, FIGURES= or AGAIN=docs/fuzz.json
 	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/support $(BIN)/python -m fuzzing --jobs $(JOBS) $(if $(MINUTES),--minutes $(MINUTES)) \
 		$(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(REPLAY),--replay $(REPLAY)) $(if $(FIGURES),--output $(FIGURES)) $(if $(AGAIN),--again $(AGAIN))
 	$(if $(REPLAY)$(AGAIN),,PYTHONPATH=$(CURDIR):$(CURDIR)/tests/support $(BIN)/python -m fuzzing.calls $(if $(SEED),--seed $(SEED)))
@@ -97,15 +93,18 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
 	$(BIN)/python -m tests.benchmarks.kills --output docs/kills.json
 
-licences: $(VENV)/.installed-test  ## the table of licences in docs/install.md, from the metadata of the packages
+pins: $(VENV)/.installed-tools  ## the list of pinned versions anew, with changed dependencies; UPGRADE=--upgrade for the newest
+	PYTHONPATH=$(CURDIR)/tests/support PATH=$(CURDIR)/$(BIN):$(PATH) $(BIN)/python tests/support/pins.py $(UPGRADE)
+
+licences: $(VENV)/.installed-tools  ## the table of licences in docs/install.md, from the metadata of the packages
 	PYTHONPATH=$(CURDIR)/tests/support $(BIN)/python tests/support/licences.py
 
-docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
+docs: $(VENV)/.installed-tools  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
-release-check: $(VENV)/.installed-test  ## wheel and source archive built, the wheel tried in fresh environments: each Python, newest and lowest dependencies; TRY=--here or --offline
+release-check: $(VENV)/.installed-tools  ## wheel and source archive built, the wheel tried in fresh environments: each Python, newest and lowest dependencies; TRY=--here or --offline
 	rm -rf dist
-	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m build --no-isolation --outdir dist .
 	$(BIN)/python tests/support/try_release.py dist $(TRY)
 
 clean:  ## remove what was built, keep results

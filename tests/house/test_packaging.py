@@ -5,6 +5,7 @@ import re
 import tomllib
 
 import licences
+import pins
 import try_release
 from places import ROOT
 
@@ -73,24 +74,17 @@ def test_the_licence_of_each_dependency_is_named():
         assert re.search("LGPL|Lesser", dict(matches)[package])
 
 
-def test_the_tests_need_no_client_of_a_service():
-    """ROSS asks for one, so its own list of dependencies stays out of the environment of the tests."""
-    assert not [wanted for wanted in PROJECT["project"]["optional-dependencies"]["test"] if "ross" in wanted]
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    assert "--no-deps ross-rotordynamics ccp-performance" in makefile
-
-
-def test_each_digest_is_of_the_version_that_the_tests_run_with():
-    def pinned(name):
-        text = (ROOT / name).read_text(encoding="utf-8")
-        matches = re.findall(r"^([\w.-]+)==([^\s;]+)", text, re.MULTILINE)
-        return {re.sub("[-_.]+", "-", package).lower(): version for package, version in matches}
-
-    constraints, installed = pinned("constraints.txt"), pinned("requirements.txt")
-    needed = {re.sub("[-_.]+", "-", name) for name, extra in licences.extras().items() if not extra}
-    assert needed <= set(installed)
-    assert {name: installed[name] for name in installed if name in constraints}.items() <= constraints.items()
-    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+def test_the_list_of_versions_holds_all_that_is_installed_with_digests_and_no_client_of_a_service():
+    text = pins.LIST.read_text(encoding="utf-8")
+    needed, tools = ([*map(pins.canonical, re.findall(r"^([\w.-]+)==", part, re.M))] for part in text.split(pins.TOOLS))
+    assert len({*needed, *tools}) == len(needed) + len(tools)
+    extras = {pins.canonical(name): words for name, words in licences.extras().items()}
+    build = {pins.canonical(re.split("[>=<]", name)[0]) for name in PROJECT["build-system"]["requires"]}
+    assert build | {name for name, words in extras.items() if not words} <= set(needed)
+    wanted = [each for extra in ("test", "docs") for each in PROJECT["project"]["optional-dependencies"][extra]]
+    assert {pins.canonical(re.split("[>=<]", name)[0]) for name in wanted} <= {*needed, *tools}
+    assert not [name for name in tools if "google" in name]
+    lines = text.splitlines()
     for line, following in itertools.pairwise(lines):
         assert "==" not in line or line.startswith("#") or following.lstrip().startswith("--hash=sha256:")
 
