@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.notes import FitNote
 from gbid.identify.data import FitData, Record, centred_rows, column_variances
+from gbid.identify.pose import FitTask
 from gbid.structure.built_in import KEY_PARAMETERS
 
 _MOTION = 1e-3  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres
@@ -21,25 +22,20 @@ _MOST = 50  # spikes that are looked at
 _SAME = 1e-2  # part of an input that no other explains, below which standard deviations are a hundred times larger
 
 
-def data_notes(data: FitData, names: Set[str], left_out: Mapping[str, Sequence[tuple[int, int]]]) -> tuple[str, ...]:
-    """Return notes on the data of a fit that the fit itself cannot see.
+def data_notes(task: FitTask) -> Iterator[str]:
+    """Yield notes on the data of a fit that the fit itself cannot see.
 
-    Parameters
-    ----------
-    data : FitData
-        Data of the fit.
-    names : set of str
-        Parameters of the structure: with the key parameters of the paper all signals are motions in metres.
-    left_out : dict of str to sequence of (start, stop)
-        Samples of recordings that do not count.
+    With the key parameters of the paper in its structure all signals are motions in metres.
     """
+    data, left_out = task.data, task.options.left_out or {}
     if not data.records:
-        return ()
-    bearing = set(KEY_PARAMETERS) <= names
-    notes = [*(_units(data) if bearing else ()), *_twins(data.records), *_same_inputs(data)]
+        return
+    if set(KEY_PARAMETERS) <= {q.name for q in task.parameters}:
+        yield from _units(data)
+    yield from _twins(data.records)
+    yield from _same_inputs(data)
     for record in data.records:
-        notes += _spikes(record, data.output_names, left_out.get(record.name, ()))
-    return tuple(notes)
+        yield from _spikes(record, data.output_names, left_out.get(record.name, ()))
 
 
 def _units(data: FitData) -> Iterator[str]:

@@ -39,8 +39,8 @@ def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments)
             result = best_attempt(task)
     result = with_profiles(result, options.profile)
     if _means_may_matter(task, result):
-        result = replace(result, notes=(*result.notes, *_note_of_means(structure, recordings, options, result)))
-    return replace(result, wall_time_s=time.perf_counter() - began)
+        result = result.noted(*_note_of_means(structure, recordings, options, result))
+    return result.changed(wall_time_s=time.perf_counter() - began)
 
 
 @takes_options(FitArguments)
@@ -140,7 +140,7 @@ def with_profiles(result: FitResult, wanted: Sequence[str]) -> FitResult:
     if not (wanted and result.may_be_profiled):
         return result
     names = [q for q in result.free if wanted == "all" or {q, result.own_names.get(q)} & set(wanted)]
-    return replace(result, profiles=profile(result, names))
+    return result.changed(profiles=profile(result, names))
 
 
 _SAME_LIKELIHOOD = 0.1  # difference of log-likelihoods: far below what moves the end of an interval

@@ -184,8 +184,8 @@ def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiS
     if not best.success and starts > 1:
         others = f"the smallest loss of a converged one is {good.min():.6g}" if len(good) else "none converged"
         note = f"this fit has the smallest loss of {starts} starts, but did not converge; {others}"
-        best = replace(best, notes=(*best.notes, FitNote.BEST_DID_NOT_CONVERGE(note)))
-    return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread, minima)
+        best = best.noted(FitNote.BEST_DID_NOT_CONVERGE(note))
+    return MultiStart(best.changed(multi_start=tried), losses, converged, same, spread, minima)
 
 
 def distinct_minima(results: Mapping[int, FitResult]) -> tuple[Minimum, ...]:

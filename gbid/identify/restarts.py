@@ -135,7 +135,7 @@ class Attempt:
         """Return the attempt with one more note."""
         if self.result is None:
             return self
-        return replace(self, result=replace(self.result, notes=(*self.result.notes, note)))
+        return replace(self, result=self.result.noted(note))
 
 
 def grows(rate: float, n_samples: int) -> bool:
@@ -240,7 +240,7 @@ class Restarts:
                     return attempt
                 status = _status_with_gain_held(held.result)
                 note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
-                return replace(held, result=replace(held.result, status=status)).noted(FitNote.GAIN_HELD(note))
+                return replace(held, result=held.result.changed(status=status)).noted(FitNote.GAIN_HELD(note))
         best, result = tried[-1]
         if not result.success:
             best, result = min(tried, key=lambda pair: pair[1].loss if np.isfinite(pair[1].loss) else np.inf)
@@ -313,8 +313,8 @@ def _confirmed(attempts: Sequence[Attempt]) -> FitResult:
     if not result.success or best.good:
         return result
     if not best.agrees([attempt for attempt, _ in pairs if attempt is not best]):
-        return replace(result, status=FitStatus.WINDOWS_DISAGREE)
-    return replace(result, notes=(*result.notes, FitNote.OTHER_MINIMUM(_DOUBTFUL)))
+        return result.changed(status=FitStatus.WINDOWS_DISAGREE)
+    return result.noted(FitNote.OTHER_MINIMUM(_DOUBTFUL))
 
 
 _DOUBTFUL = (
@@ -330,16 +330,16 @@ def _lowest(attempts: Sequence[Attempt]) -> FitResult:
     lowest = min(finite, key=lambda pair: pair[1].loss)
     converged = [pair for pair in finite if pair[1].success]
     best, result = min(converged, key=lambda pair: pair[1].loss) if converged else lowest
-    notes = result.notes
+    notes = list[str]()
     if result.loss > lowest[1].loss + POLICY.lower * abs(lowest[1].loss):
         text = f"another attempt ended lower, at a loss of {lowest[1].loss:.6g}, but did not converge"
-        notes = (*notes, FitNote.OTHER_MINIMUM(text))
+        notes.append(FitNote.OTHER_MINIMUM(text))
     if result.success and any(other.status is FitStatus.SHAFT_AS_MODE for _, other in pairs):
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
-        notes = (*notes, FitNote.SHAFT(text))
+        notes.append(FitNote.SHAFT(text))
     if result.success and best.doubtful:
-        notes = (*notes, FitNote.OTHER_MINIMUM(_DOUBTFUL))
-    return replace(result, notes=notes)
+        notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
+    return result.noted(*notes)
 
 
 # ---- Start of a nonlinear fit from windows with open gaps.

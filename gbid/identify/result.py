@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import h5py
 import numpy as np
@@ -212,59 +212,171 @@ class Phase:
 
 
 @dataclass(frozen=True, eq=False)
-class FitResult(Brief, Pictured, hdf5.InFile):
-    """Estimates of a fit, their uncertainty, status and options.
+class Estimates(Brief):
+    """Estimates of a fit, and the model that they make.
 
     Attributes
     ----------
     structure : str
         Name of the structure.
-    recordings : tuple of str
-        Names of the recordings.
     parameters : dict of str to float
         All parameters: estimated, fixed and unused. A local parameter has one entry ``name[group]`` for each group of
-        recordings; `parameters_of` returns those of one recording under their own names.
-    std : dict of str to float
-        Standard deviations from `covariance`. They are 0 for a fixed parameter, and nan for a parameter on a bound,
-        without effect for the focus, or not determined by the data (see `notes`).
+        recordings; `FitResult.parameters_of` returns those of one recording under their own names.
     units : dict of str to str
         Units of the parameters.
     free : tuple of str
-        Estimated parameters, in the order of `covariance`.
-    covariance : (n_free, n_free) array
-        Covariance to use: `covariance_white` or `covariance_robust`, as `trusted` says; where it says "none", the
-        robust one.
+        Estimated parameters, in the order of the covariance.
+    local_names : dict of str to dict
+        For each recording, the full names of its local parameters by their own names; empty without local parameters.
+    initial_states : (n_recordings, n_states) array
+        Initial state of each recording.
+    model : LinearModel or NonlinearModel
+        The structure at the estimates, in continuous time; with local parameters, those of the first recording. It
+        simulates with the inter-sample behaviour of the fit.
+    sample_time : float
+        Time between samples [s]; nan where the times are irregular, and of a fit to frequency responses alone.
+    schedule : Schedule or None
+        Terms of the surfaces of a scheduled structure; None for constant parameters.
+    disturbances : Disturbances
+        Trends and hum of the outputs that were estimated along.
+    error_models : tuple of ErrorModel
+        Autoregression of the errors of each recording; empty for errors="white".
+    """
+
+    structure: str
+    parameters: Annotated[Mapping[str, float], _of_each("estimate", "estimates in the order of the attribute names")]
+    units: Annotated[Mapping[str, str], _texts_of_each("units")]
+    free: Annotated[tuple[str, ...], Stored(shape="free", at="parameters@free")]
+    local_names: Mapping[str, Mapping[str, str]]
+    initial_states: Annotated[FloatArray, Stored("", "initial state of each recording", "recordings states")]
+    model: LinearModel | NonlinearModel
+    sample_time: Annotated[float, Stored("s", "time between samples")]
+    schedule: Schedule | None
+    disturbances: Disturbances
+    error_models: tuple[ErrorModel, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty(Brief):
+    """Covariance of the estimates of a fit, and what follows from it.
+
+    Attributes
+    ----------
+    std : dict of str to float
+        Standard deviations from `covariance`. They are 0 for a fixed parameter, and nan for a parameter on a bound,
+        without effect for the focus, or not determined by the data (see `Diagnosis.notes`).
     covariance_white, covariance_robust : (n_free, n_free) array
         Covariance for white residuals, and for coloured residuals.
     trusted : {"white", "robust", "none"}
         Covariance that the whiteness test of the residuals selects; the robust one in a fit that is no estimate.
         "none" where residuals follow an input: the structure leaves something out, and no covariance contains that.
-    whiteness : (n_outputs,) array
-        p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
-        outputs.
     modes_std : (n_modes, 2) array
         Standard deviations of ``model.modes()``: natural frequency [Hz] and damping factor.
     static_gain_std : (n_outputs, n_inputs) array
         Standard deviations of ``model.static_gain()``; nan for a model with a pole at zero.
-    initial_states : (n_recordings, n_states) array
-        Initial state of each recording.
+    condition : float
+        Condition number of the scaled information matrix; large when the data hardly separate parameters.
+    model_slopes : ModelSlopes or None
+        Derivatives of the matrices of the model by the free parameters, for the uncertainty of its curves.
+    covariance : (n_free, n_free) array
+        Covariance to use: `covariance_white` or `covariance_robust`, as `trusted` says; where it says "none", the
+        robust one.
+    hold_shift : (n_free,) array or None
+        How far the estimates move, in their units, with exact delays and inputs on curves between samples. Where that
+        is more than half a standard deviation, the covariances contain it. None where delays are exact and inputs are
+        held, and where the data refute such curves.
+    integration_shift : (n_free,) array or None
+        How far the estimates move, in standard deviations, when the step of the integrator of a nonlinear structure or
+        the pieces of a scheduled one are halved; None for any other structure, which is integrated exactly.
+    profiles : dict of str to Profile
+        Profile likelihoods that the option `profile` asked for, by full name.
+    profiler : callable or None
+        Function of `FitResult.profile`, which holds the samples of the recordings; None in a result that was loaded or
+        pickled.
+    """
+
+    std: Annotated[Mapping[str, float], _of_each("std", "standard deviations; 0 fixed, nan none")]
+    covariance_white: Annotated[FloatArray, _of_free("covariance_white", "covariance for white residuals")]
+    covariance_robust: Annotated[FloatArray, _of_free("covariance_robust", "covariance for any residuals")]
+    trusted: StdKind | Literal["none"]
+    modes_std: Annotated[FloatArray, Stored("Hz and 1", "standard deviations of frequency and damping", "modes 2")]
+    static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gain", "outputs inputs")]
+    condition: Annotated[float, Stored("", "condition of the scaled information")]
+    model_slopes: ModelSlopes | None
+    covariance: Annotated[FloatArray, NOT_STORED] = field(default_factory=lambda: np.zeros(0))
+    hold_shift: Annotated[
+        FloatArray | None, Stored("SI", "shift of the free parameters with exact delays and inputs on curves", "free")
+    ] = None
+    integration_shift: Annotated[
+        FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
+    ] = None
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    profiler: Annotated[Callable[[str, str, float], Profile] | None, NOT_STORED] = None
+
+    def __post_init__(self) -> None:
+        """Choose the covariance of a stored result."""
+        if not self.covariance.size:
+            chosen = self.covariance_white if self.trusted == "white" else self.covariance_robust
+            object.__setattr__(self, "covariance", chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(Brief):
+    """How good a fit is, and what is to be thought of it.
+
+    Attributes
+    ----------
+    status : FitStatus
+        Status; its text gives advice when the fit did not converge.
+    optimality : float or None
+        First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations of the
+        estimates. Below 0.1 for a success.
     loss : float
         Mean squared error summed over outputs; for criterion "det" the determinant of `error_covariance`.
     error_covariance : (n_outputs, n_outputs) array
         Mean square of the errors.
     fit_percent : (n_recordings, n_outputs) array
         ``100 (1 - |y - yhat| / |y - mean y|)`` for the predictions of the focus.
+    whiteness : (n_outputs,) array
+        p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
+        outputs.
     aic, fpe : float
         Akaike's information criterion and final prediction error. With errors="ar" they count the coefficients of the
         models of the errors.
     log_likelihood : float
         Gaussian log-likelihood of the errors; with errors="ar" for the models of the errors.
-    error_models : tuple of ErrorModel
-        Autoregression of the errors of each recording; empty for errors="white".
-    condition : float
-        Condition number of the scaled information matrix; large when the data hardly separate parameters.
-    status : FitStatus
-        Status; its text gives advice when the fit did not converge.
+    notes : tuple of str
+        Notes of the checks: active bounds, parameters that are not determined, and others.
+    """
+
+    status: FitStatus
+    optimality: Annotated[float | None, Stored("", "next step over standard deviations")]
+    loss: Annotated[float, Stored("", "criterion at the estimate")]
+    error_covariance: Annotated[FloatArray, Stored("", "mean square of the errors", "outputs outputs")]
+    fit_percent: Annotated[FloatArray, Stored("%", "fit, recordings by outputs", "recordings outputs")]
+    whiteness: Annotated[FloatArray, Stored("", "probability of less white residuals, per output", "outputs")]
+    aic: Annotated[float, Stored("", "Akaike's information criterion")]
+    fpe: Annotated[float, Stored("", "final prediction error")]
+    log_likelihood: Annotated[float, Stored("", "Gaussian log-likelihood of the errors")]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Provenance(Brief):
+    """What a fit was made of, and how.
+
+    Attributes
+    ----------
+    recordings : tuple of str
+        Names of the recordings, or of the frequency responses.
+    options : SettledOptions
+        Options of the fit, with the choices that it made itself.
+    start : dict of str to float
+        Start values of the parameters.
+    start_origin : dict of str to str
+        Origin of each start value: ``"data"``, ``"user"`` or ``"structure"``.
+    engine : {"compiled", "numpy"}
+        Engine of the pass over the samples.
     iterations : int
         Number of iterations.
     phases : tuple of Phase
@@ -272,118 +384,144 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         the first phase crept.
     wall_time_s : float
         Time of the whole fit [s], with start values and covariance.
-    start : dict of str to float
-        Start values.
-    start_origin : dict of str to str
-        Origin of each start value: ``"data"``, ``"user"`` or ``"structure"``.
-    notes : tuple of str
-        Notes: active bounds, parameters that are not determined, engine of the pass.
-    options : SettledOptions
-        Options of the fit, with the choices that it made itself.
-    disturbances : Disturbances
-        Trends and hum of the outputs that were estimated along.
-    engine : {"compiled", "numpy"}
-        Engine of the pass over the samples.
-    schedule : Schedule or None
-        Terms of the surfaces of a scheduled structure; None for constant parameters.
-    model : LinearModel
-        The structure at the estimates, in continuous time; with local parameters, those of the first recording. It
-        simulates with the inter-sample behaviour of the fit.
-    sample_time : float
-        Time between samples [s]; nan where the times are irregular, and of a fit to frequency responses alone.
-    local_names : dict of str to dict
-        For each recording, the full names of its local parameters by their own names; empty without local parameters.
     multi_start : StartsTried or None
         Counts of the fits from other starts; None for a fit from one start.
-    optimality : float or None
-        First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations of the
-        estimates. Below 0.1 for a success.
-    model_slopes : ModelSlopes or None
-        Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves.
-    integration_shift : (n_free,) array or None
-        How far the estimates move, in standard deviations, when the step of the integrator of a nonlinear structure or
-        the pieces of a scheduled one are halved; None for any other structure, which is integrated exactly.
-    hold_shift : (n_free,) array or None
-        How far the estimates move, in their units, with exact delays and inputs on curves between samples. Where that
-        is more than half a standard deviation, the covariances contain it. None where delays are exact and inputs are
-        held, and where the data refute such curves.
-    profiles : dict of str to Profile
-        Profile likelihoods that the option `profile` asked for, by full name.
-    profiler : callable or None
-        Function of `profile`, which holds the samples of the recordings; None in a result that was loaded or pickled.
     """
 
-    structure: str
     recordings: Annotated[tuple[str, ...], Stored(shape="recordings")]
-    parameters: Annotated[Mapping[str, float], _of_each("estimate", "estimates in the order of the attribute names")]
-    std: Annotated[Mapping[str, float], _of_each("std", "standard deviations; 0 fixed, nan none")]
-    units: Annotated[Mapping[str, str], _texts_of_each("units")]
-    free: Annotated[tuple[str, ...], Stored(shape="free", at="parameters@free")]
-    covariance: Annotated[FloatArray, NOT_STORED]
-    covariance_white: Annotated[FloatArray, _of_free("covariance_white", "covariance for white residuals")]
-    covariance_robust: Annotated[FloatArray, _of_free("covariance_robust", "covariance for any residuals")]
-    trusted: StdKind | Literal["none"]
-    whiteness: Annotated[FloatArray, Stored("", "probability of less white residuals, per output", "outputs")]
-    modes_std: Annotated[FloatArray, Stored("Hz and 1", "standard deviations of frequency and damping", "modes 2")]
-    static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gain", "outputs inputs")]
-    initial_states: Annotated[FloatArray, Stored("", "initial state of each recording", "recordings states")]
-    loss: Annotated[float, Stored("", "criterion at the estimate")]
-    error_covariance: Annotated[FloatArray, Stored("", "mean square of the errors", "outputs outputs")]
-    fit_percent: Annotated[FloatArray, Stored("%", "fit, recordings by outputs", "recordings outputs")]
-    aic: Annotated[float, Stored("", "Akaike's information criterion")]
-    fpe: Annotated[float, Stored("", "final prediction error")]
-    condition: Annotated[float, Stored("", "condition of the scaled information")]
-    status: FitStatus
-    iterations: int
-    wall_time_s: Annotated[float, Stored("s", "time that the fit took")]
+    options: Annotated[SettledOptions, AS_JSON]
     start: Annotated[Mapping[str, float], _of_each("start", "start values")]
     start_origin: Annotated[Mapping[str, str], _texts_of_each("start_origin")]
-    notes: tuple[str, ...]
-    options: Annotated[SettledOptions, AS_JSON]
-    disturbances: Disturbances
     engine: RunEngine
-    schedule: Schedule | None
-    model: LinearModel | NonlinearModel
-    sample_time: Annotated[float, Stored("s", "time between samples")]
-    local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    iterations: int
+    phases: tuple[Phase, ...]
+    wall_time_s: Annotated[float, Stored("s", "time that the fit took")]
     multi_start: StartsTried | None = None
-    model_slopes: ModelSlopes | None = None
-    optimality: Annotated[float | None, Stored("", "next step over standard deviations")] = None
-    log_likelihood: Annotated[float, Stored("", "Gaussian log-likelihood of the errors")] = np.nan
-    error_models: tuple[ErrorModel, ...] = ()
-    integration_shift: Annotated[
-        FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
-    ] = None
-    profiles: Mapping[str, Profile] = field(default_factory=dict)
-    phases: tuple[Phase, ...] = ()
-    profiler: Annotated[Callable[[str, str, float], Profile] | None, NOT_STORED] = None
 
-    hold_shift: Annotated[
-        FloatArray | None, Stored("SI", "shift of the free parameters with exact delays and inputs on curves", "free")
-    ] = None
+
+T = TypeVar("T")
+
+
+class InGroup(Generic[T]):
+    """Field of a group of a result, which the result answers under the same name."""
+
+    def __init__(self, read: Callable[[FitResult], T]) -> None:
+        self.read = read
+
+    def __get__(self, result: FitResult, kind: type[FitResult]) -> T:
+        return self.read(result)
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult(Brief, Pictured, hdf5.InFile):
+    """Result of a fit: four groups of values, which it answers under their own names, too, such as ``result.std``.
+
+    Attributes
+    ----------
+    estimate : Estimates
+        Parameters, initial states and the model.
+    uncertainty : Uncertainty
+        Standard deviations, covariances and profiles.
+    diagnosis : Diagnosis
+        Status, loss, fit and notes.
+    provenance : Provenance
+        Recordings, options, start values and the way of the solver.
+    """
+
+    estimate: Annotated[Estimates, hdf5.INLINE]
+    uncertainty: Annotated[Uncertainty, hdf5.INLINE]
+    diagnosis: Annotated[Diagnosis, hdf5.INLINE]
+    provenance: Annotated[Provenance, hdf5.INLINE]
+
+    structure = InGroup(lambda result: result.estimate.structure)
+    parameters = InGroup(lambda result: result.estimate.parameters)
+    units = InGroup(lambda result: result.estimate.units)
+    free = InGroup(lambda result: result.estimate.free)
+    local_names = InGroup(lambda result: result.estimate.local_names)
+    initial_states = InGroup(lambda result: result.estimate.initial_states)
+    model = InGroup(lambda result: result.estimate.model)
+    sample_time = InGroup(lambda result: result.estimate.sample_time)
+    schedule = InGroup(lambda result: result.estimate.schedule)
+    disturbances = InGroup(lambda result: result.estimate.disturbances)
+    error_models = InGroup(lambda result: result.estimate.error_models)
+    std = InGroup(lambda result: result.uncertainty.std)
+    covariance_white = InGroup(lambda result: result.uncertainty.covariance_white)
+    covariance_robust = InGroup(lambda result: result.uncertainty.covariance_robust)
+    trusted = InGroup(lambda result: result.uncertainty.trusted)
+    modes_std = InGroup(lambda result: result.uncertainty.modes_std)
+    static_gain_std = InGroup(lambda result: result.uncertainty.static_gain_std)
+    condition = InGroup(lambda result: result.uncertainty.condition)
+    model_slopes = InGroup(lambda result: result.uncertainty.model_slopes)
+    covariance = InGroup(lambda result: result.uncertainty.covariance)
+    hold_shift = InGroup(lambda result: result.uncertainty.hold_shift)
+    integration_shift = InGroup(lambda result: result.uncertainty.integration_shift)
+    profiles = InGroup(lambda result: result.uncertainty.profiles)
+    profiler = InGroup(lambda result: result.uncertainty.profiler)
+    status = InGroup(lambda result: result.diagnosis.status)
+    optimality = InGroup(lambda result: result.diagnosis.optimality)
+    loss = InGroup(lambda result: result.diagnosis.loss)
+    error_covariance = InGroup(lambda result: result.diagnosis.error_covariance)
+    fit_percent = InGroup(lambda result: result.diagnosis.fit_percent)
+    whiteness = InGroup(lambda result: result.diagnosis.whiteness)
+    aic = InGroup(lambda result: result.diagnosis.aic)
+    fpe = InGroup(lambda result: result.diagnosis.fpe)
+    log_likelihood = InGroup(lambda result: result.diagnosis.log_likelihood)
+    notes = InGroup(lambda result: result.diagnosis.notes)
+    recordings = InGroup(lambda result: result.provenance.recordings)
+    options = InGroup(lambda result: result.provenance.options)
+    start = InGroup(lambda result: result.provenance.start)
+    start_origin = InGroup(lambda result: result.provenance.start_origin)
+    engine = InGroup(lambda result: result.provenance.engine)
+    iterations = InGroup(lambda result: result.provenance.iterations)
+    phases = InGroup(lambda result: result.provenance.phases)
+    wall_time_s = InGroup(lambda result: result.provenance.wall_time_s)
+    multi_start = InGroup(lambda result: result.provenance.multi_start)
 
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 4)
 
     def __post_init__(self) -> None:
         """Give the model the inter-sample behaviour of the fit; that of a loop is sampled, and has it already."""
-        if self.model.intersample is None and getattr(self.model, "dt", None) is None:
-            object.__setattr__(self, "model", replace(self.model, intersample=self.options.intersample))
+        model = self.estimate.model
+        if model.intersample is None and getattr(model, "dt", None) is None:
+            model = replace(model, intersample=self.provenance.options.intersample)
+            object.__setattr__(self, "estimate", replace(self.estimate, model=model))
+
+    def changed(self, **values: Any) -> FitResult:
+        """Return the result with other values of fields of its groups.
+
+        Parameters
+        ----------
+        **values
+            New values by the names of the fields, such as ``notes=()``.
+        """
+        groups = {}
+        for each in fields(self):
+            group = getattr(self, each.name)
+            own = {name: values.pop(name) for name in vars(group).keys() & values}
+            groups[each.name] = replace(group, **own)
+        if values:
+            raise TypeError(f"a fit result has no {', '.join(values)}")
+        return FitResult(**groups)
+
+    def noted(self, *notes: str) -> FitResult:
+        """Return the result with more notes.
+
+        Parameters
+        ----------
+        *notes : str
+            The notes, after those that it has.
+        """
+        return self.changed(notes=(*self.diagnosis.notes, *notes)) if notes else self
 
     def to_hdf5(self, group: h5py.Group) -> None:
         """Write this fit to the `group`, and whether it succeeded."""
         hdf5.write_fields(group, self)
         hdf5.add_attribute(group, "success", np.array(self.success))
 
-    @classmethod
-    def from_hdf5(cls, group: h5py.Group) -> FitResult:
-        """Return the fit in a `group` of `to_hdf5`, with the covariance that it trusts."""
-        return hdf5.read_fields(group, cls, covariance=cls.covariance_in(group))
-
     @staticmethod
     def covariance_in(group: h5py.Group) -> FloatArray:
         """Return the covariance that a fit trusts, from its `group`."""
-        trusted = hdf5.read_text(group, "trusted")
-        kind = "robust" if trusted == "none" else trusted
+        kind = "white" if hdf5.read_text(group, "trusted") == "white" else "robust"
         return hdf5.read_dataset(group, f"parameters/covariance_{kind}")
 
     def _brief(self) -> Description:

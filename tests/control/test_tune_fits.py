@@ -48,7 +48,7 @@ def test_fits_of_two_recordings_share_a_design() -> None:
     assert both.value == pytest.approx(known.value, rel=1e-5)
     assert dict(both.gains) == pytest.approx(dict(known.gains), rel=1e-3)
     assert not any("converge" in note for note in both.notes)
-    stopped = replace(fits[0], status=FitStatus.ITERATION_LIMIT)
+    stopped = fits[0].changed(status=FitStatus.ITERATION_LIMIT)
     told = gbid.tune(stopped, goals=GOALS, start=both.gains, starts=0).notes
     assert sum("did not converge" in note for note in told) == 1
 

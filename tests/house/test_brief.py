@@ -71,7 +71,7 @@ def test_fit(folder):
     assert f"k = {result.parameters['k']:.5g} +- {result.std['k']:.2g}" in repr(result)
     assert f"{frequency:.2f} +- " in repr(result)
     assert lines_of(result.model)[0].endswith("2 states, continuous time")
-    assert lines_of(replace(result, notes=("a long note " * 30,) * 2))
+    assert lines_of(result.changed(notes=("a long note " * 30,) * 2))
 
 
 def test_recording(folder):

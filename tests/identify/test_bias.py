@@ -1,7 +1,5 @@
 """What estimates are off by beside the noise: delay and hold, a structure that leaves something out; and no noise."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
@@ -207,6 +205,6 @@ def test_the_shift_is_stored(tmp_path):
     result = gbid.fit(gbid.RotorBearing(), recording(POINTS[0], 0))
     gbid.save_fit(result, tmp_path / "fit.h5")
     np.testing.assert_array_equal(gbid.load(tmp_path / "fit.h5").hold_shift, result.hold_shift)
-    untrusted = replace(result, trusted="none", covariance=result.covariance_robust)
+    untrusted = result.changed(trusted="none", covariance=result.covariance_robust)
     gbid.save_fit(untrusted, tmp_path / "none.h5")
     np.testing.assert_array_equal(gbid.load(tmp_path / "none.h5").covariance, result.covariance_robust)

@@ -6,9 +6,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from gbid.identify import FitStatus, fit
-from gbid.identify.judge import far_below_white, hardly_determined, may_cover_less
+from gbid.identify.judge import hardly_determined, may_cover_less
 from gbid.identify.uncertainty.coloured import ErrorModel
-from gbid.identify.uncertainty.covariance import Covariance
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -56,15 +55,6 @@ def test_open_signs_are_named_by_direction():
     assert "k, d" in together
     assert "up to 20 times" in together
     assert "m" not in together.split(":")[0].split("of")[1]
-
-
-def test_a_robust_std_far_below_the_white_one_is_said():
-    white = np.diag([1.0, 4.0])
-    none = np.zeros((0, 2))
-    names = np.array(["k", "d"])
-    assert far_below_white(Covariance(white, 0.25 * white, 1.0, none, 10.0), names) == []
-    (note,) = far_below_white(Covariance(white, np.diag([0.9, 0.01]), 1.0, none, 10.0), names)
-    assert "0.05 of them): d;" in note
 
 
 def at_a_mode(radius):

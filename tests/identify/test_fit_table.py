@@ -1,5 +1,5 @@
 import csv
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -136,7 +136,7 @@ def test_csv_holds_the_columns_bit_for_bit(table, tmp_path):
 def test_a_fit_to_several_recordings_shows_its_worst(fits):
     result = fits["free"]
     percent = np.array([[90.0, 80.0], [70.0, 95.0]])
-    both = replace(result, recordings=("run1", "run2"), fit_percent=percent)
+    both = result.changed(recordings=("run1", "run2"), fit_percent=percent)
     table = tabulate([TableEntry("bearing", "together", ("run1", "run2"), {}, both)])
     np.testing.assert_array_equal(table.fit_percent, [[70.0, 80.0]])
     assert table.recordings == (("run1", "run2"),)

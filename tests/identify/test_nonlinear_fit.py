@@ -140,7 +140,7 @@ def test_a_stiff_structure_needs_the_implicit_integrator():
 def test_stored_fits_simulate_and_validate_without_their_structure(tmp_path):
     recording, other = duffing_recording(5), duffing_recording(6)
     result = gbid.fit(DUFFING, recording)
-    large = replace(result, model=replace(result.model, equations=result.model.equations + " " * 70_000))
+    large = result.changed(model=replace(result.model, equations=result.model.equations + " " * 70_000))
     gbid.save_fit(large, tmp_path / "large.h5")  # an attribute of HDF5 holds 64 kB, if the text is inside of it
     assert gbid.load_fit(tmp_path / "large.h5").model.equations == large.model.equations
     gbid.save_fit(result, tmp_path / "fit.h5")

@@ -10,7 +10,6 @@ from start_problems import start_problem
 
 from gbid import LinearStructure, Parameter, Recording, fit
 from gbid.identify import FitStatus
-from gbid.identify.judge import verdict
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import pose
 from gbid.identify.predictor import Predictor
@@ -134,24 +133,6 @@ def test_a_solution_that_has_not_come_to_rest_is_solved_on(best, monkeypatch):
     assert result.success
     assert result.optimality < 0.1
     assert result.loss == pytest.approx(best.loss)
-
-
-def test_verdict_of_what_the_solver_calls_converged():
-    good = {
-        "overflows": False,
-        "worse_than_constant": False,
-        "at_edge": False,
-        "shaft": False,
-        "undetermined": np.zeros(2, bool),
-    }
-    assert verdict(FitStatus.CONVERGED, **good) is FitStatus.CONVERGED
-    assert verdict(FitStatus.ITERATION_LIMIT, **good | {"worse_than_constant": True}) is FitStatus.ITERATION_LIMIT
-    assert verdict(FitStatus.CONVERGED, **good | {"overflows": True}) is FitStatus.OVERFLOW
-    assert verdict(FitStatus.CONVERGED, **good | {"worse_than_constant": True}) is FitStatus.WORSE_THAN_CONSTANT
-    assert verdict(FitStatus.CONVERGED, **good | {"at_edge": True}) is FitStatus.UNSTABLE_PREDICTOR
-    assert verdict(FitStatus.CONVERGED, **good | {"shaft": True}) is FitStatus.SHAFT_AS_MODE
-    undetermined = np.array([False, True])
-    assert verdict(FitStatus.CONVERGED, **good | {"undetermined": undetermined}) is FitStatus.NOT_DETERMINED
 
 
 # ---- callbacks ----

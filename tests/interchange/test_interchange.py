@@ -49,7 +49,7 @@ def some_fit() -> FitResult:
     recording = simulated(MODE, MODE_AT, levels(300), noise=0.1, name="run-1")
     fit = gbid.fit(MODE, recording, fixed={"l2": 0.0}, local={"w": "recording"})
     model = replace(fit.model, K=np.array([[3.0], [4.0]]))
-    return replace(fit, model=model, std={**fit.std, "l2": float("nan")})
+    return fit.changed(model=model, std={**fit.std, "l2": float("nan")})
 
 
 def response(A, B, C, D, frequency):

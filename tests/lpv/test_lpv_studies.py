@@ -39,7 +39,7 @@ def held_out_percent(fit, results, recordings, structure=EXACT):
         model = gbid.structure.evaluate(structure, {name: values.get(name, 0.0) for name in names})
         own = results[0].model
         model = replace(model, input_names=own.input_names, output_names=own.output_names)
-        rows.append(gbid.cross_validate(replace(results[0], model=model), recording).fit_percent)
+        rows.append(gbid.cross_validate(results[0].changed(model=model), recording).fit_percent)
     return float(np.mean(rows))
 
 

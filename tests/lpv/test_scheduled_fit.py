@@ -95,7 +95,7 @@ def test_wrong_use_is_refused(fits):
         gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", parameters=("k_q",))
     with pytest.raises(UsageError, match="the fits are of rigid_rotor; give fits of the structure 'rotor_bearing'"):
         gbid.fit_lpv(fits, SPEEDS, structure=gbid.RotorBearing(), scheduling="speed_rpm")
-    other = replace(fits[0], parameters={key: v for key, v in fits[0].parameters.items() if key != "g"})
+    other = fits[0].changed(parameters={key: v for key, v in fits[0].parameters.items() if key != "g"})
     with pytest.raises(UsageError, match="the structure has g, which not all fits have"):
         gbid.fit_lpv([other, *fits[1:]], SPEEDS, structure=ROTOR, scheduling="speed_rpm", parameters=("k_t",), order=1)
     with pytest.raises(DataError, match="4 operating points for 10 terms"):

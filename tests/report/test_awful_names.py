@@ -67,7 +67,7 @@ def named(result, name):
     """The result as if structure, recording, signals and units were called so."""
     model = replace(result.model, name=name, input_names=(name,), output_names=(f"y{name}",))
     units = dict.fromkeys(result.units, name)
-    return replace(result, structure=name, recordings=(name,), units=units, model=model, notes=(name,))
+    return result.changed(structure=name, recordings=(name,), units=units, model=model, notes=(name,))
 
 
 def acts_on_a_terminal(text):

@@ -126,7 +126,7 @@ def test_the_order_of_other_programs_is_named(model):
 
 
 def test_an_unstable_model_is_not_simulated(model):
-    unstable = replace(model, model=replace(model.model, A=np.array([[50.0, 1.0], [0.0, 60.0]]), K=None))
+    unstable = model.changed(model=replace(model.model, A=np.array([[50.0, 1.0], [0.0, 60.0]]), K=None))
     rec = simulated(MODE, MODE_AT, levels(2000, seed=7), name="long")
     with pytest.raises(DataError, match=r"first is unstable: not simulated on recording 'long'.* a factor of 1e\d+;"):
         cross_validate(unstable, rec)

@@ -29,7 +29,7 @@ LAG_AT = {"a": 1.5, "b": 2.0, "k": 3.0}
 
 def held(result_of, values):
     """A result whose model has given values: residuals without an estimate in them."""
-    return replace(result_of, model=evaluate(LAG, values, ("u",), ("y",)))
+    return result_of.changed(model=evaluate(LAG, values, ("u",), ("y",)))
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_known_autocorrelation(result, rho):
     u = levels(20000, seed=3)
     e = lfilter([0.2], [1, -rho], np.random.default_rng(5).normal(size=(20000, 1)), axis=0)
     rec = Recording({"u": u, "y": evaluate(LAG, LAG_AT).simulate(u, H) + e}, H, name="coloured")
-    simulation = replace(held(result, LAG_AT), options=replace(result.options, focus="simulation"))
+    simulation = held(result, LAG_AT).changed(options=replace(result.options, focus="simulation"))
     tests = check_residuals(simulation, rec, lags=20)
     np.testing.assert_allclose(tests.autocorrelation[0], rho ** np.arange(21), atol=0.06)
     assert tests.p_white[0] < 1e-10
@@ -119,7 +119,7 @@ def test_a_delay_that_is_left_out_shows_at_its_lags():
     assert wrong.outside[0, 0] > 0.1
     assert any("y: residuals still follow u: the structure leaves something out" in word for word in wrong.verdict)
     # With the true values at once: what is missing is h(t - 3) - h(t), most at the lags of the delay.
-    held_model = replace(at_once, model=evaluate(LAG, {**truth, "k": 0.0}, ("u",), ("y",)))
+    held_model = at_once.changed(model=evaluate(LAG, {**truth, "k": 0.0}, ("u",), ("y",)))
     known = check_residuals(held_model, rec, lags=30)
     response = 2.0 * np.exp(-1.5 * H * np.arange(40)) * (1 - np.exp(-1.5 * H)) / 1.5
     pulse = np.concatenate([np.zeros(31), response])[:61]  # held input: first seen one sample later
@@ -135,7 +135,7 @@ def test_a_delay_that_is_left_out_shows_at_its_lags():
 def test_bands_cover_ninety_nine_of_a_hundred(result, rho, hold):
     """For residuals of any colour and inputs of any colour, as long as one has nothing of the other."""
     outside_cross, outside_auto, chance = [], [], []
-    simulation = replace(held(result, {**LAG_AT, "k": 0.0}), options=replace(result.options, focus="simulation"))
+    simulation = held(result, {**LAG_AT, "k": 0.0}).changed(options=replace(result.options, focus="simulation"))
     for seed in range(40):
         random = np.random.default_rng(100 + seed)
         u = np.repeat(random.choice([-1.0, 1.0], (2000 // hold, 1)), hold, axis=0)
@@ -200,7 +200,7 @@ def test_a_recording_without_the_signals_is_refused(result):
 
 
 def test_a_model_that_overflows_is_refused(data, result):
-    wild = replace(result, model=replace(result.model, A=np.array([[80.0]])))
+    wild = result.changed(model=replace(result.model, A=np.array([[80.0]])))
     with pytest.raises(DataError, match="overflows on recording 'first'"):
         check_residuals(wild, data)
 
@@ -224,7 +224,7 @@ def correlations(a, b, lags):
 def test_band_and_probability_are_those_of_bartletts_covariance(data, result):
     """Of coloured residuals and a slow input, whose correlations at neighbouring lags are nearly the same number."""
     lags = 20
-    poor = replace(result, model=replace(result.model, K=None))
+    poor = result.changed(model=replace(result.model, K=None))
     slow = data.with_signals(u=levels(4000, hold=60, seed=2))
     tests = check_residuals(poor, slow, lags=lags)
     u, y = slow.signal("u"), slow.signal("y")
@@ -261,7 +261,7 @@ def test_the_longest_stretch_is_tested(data, result):
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(data, result, focus):
-    free = replace(result, disturbances=OFFSET, options=replace(result.options, focus=focus))
+    free = result.changed(disturbances=OFFSET, options=replace(result.options, focus=focus))
     shifted = data.with_signals(y=data.signal("y") + 40.0)
     computed, plain = check_residuals(free, shifted), check_residuals(free, data)
     np.testing.assert_allclose(computed.rms, plain.rms, rtol=1e-9)
@@ -291,7 +291,7 @@ def test_a_recording_has_an_offset_of_its_own(model):
     other = with_offset(simulated(MODE, MODE_AT, levels(2000, seed=5), name="second"), -7.0, 2)
     assert cross_validate(model, other).fit_percent.min() > 98.5
     assert check_residuals(model, other).white.all()
-    without = replace(model, disturbances=Disturbances())
+    without = model.changed(disturbances=Disturbances())
     assert cross_validate(without, other).fit_percent.min() < 90
 
 

@@ -101,7 +101,7 @@ def test_repeated_poles_are_no_obstacle(recordings):
     result = fit(PiezoPair(), recordings[0])
     A = np.array(result.model.A)
     A[1] = [-A[0, 0] * -1.0, A[0, 0], 0, 0]  # the fast pole of x made equal to the slow one
-    double = replace(result, model=replace(result.model, A=A))
+    double = result.changed(model=replace(result.model, A=A))
     scores, one = cross_validate_many([double], recordings[1:2]), cross_validate(double, recordings[1])
     np.testing.assert_allclose(scores.fit_percent[0], one.fit_percent, atol=1e-9)
 

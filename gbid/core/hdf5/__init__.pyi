@@ -23,6 +23,7 @@ from .file import (
 )
 from .types import (
     AS_JSON as AS_JSON,
+    INLINE as INLINE,
     NOT_STORED as NOT_STORED,
     InFile as InFile,
     Stored as Stored,

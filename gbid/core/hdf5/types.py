@@ -85,6 +85,8 @@ NOT_STORED = Stored(at="nowhere")
 """Mark of a field that is not stored; the reader passes it, or it has a default."""
 AS_JSON = Stored(long_name="JSON")
 """Mark of a dataclass of plain values, such as options, that is stored as one text of JSON."""
+INLINE = Stored(long_name="inline")
+"""Mark of a dataclass whose fields are stored beside those of the value that contains it."""
 
 
 _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
@@ -225,22 +227,35 @@ class DataclassGroup:
         """Write the value to a new group."""
         if not isinstance(value, self.made):
             raise TypeError(f"{name}: {value!r} is no {self.made.__name__}")
-        self.put(group.create_group(name), value, context.units)
+        self.put(group.create_group(name), value, Context(context.units))
 
-    def put(self, group: h5py.Group, value: Any, units: Mapping[str, str]) -> None:
+    def put(self, group: h5py.Group, value: Any, context: Context) -> None:
         """Write the fields of the value to a group."""
-        context = Context(units)
         for name, place, codec in self.fields:
             codec.write(group, place, getattr(value, name), context)
 
     def read(self, group: h5py.Group, name: str, _context: Context) -> Any:
         """Return the value from its group."""
-        return self.get(read_group(group, name), {})
+        return self.get(read_group(group, name), {}, Context())
 
-    def get(self, group: h5py.Group, given: Mapping[str, Any]) -> Any:
+    def get(self, group: h5py.Group, given: Mapping[str, Any], context: Context) -> Any:
         """Return the dataclass from the fields of a group, completed by the values `given`."""
-        context = Context()
         return self.made(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
+
+
+@dataclass(frozen=True)
+class Inline:
+    """Codec of a dataclass whose fields are stored beside those of the value that contains it."""
+
+    record: DataclassGroup
+
+    def write(self, group: h5py.Group, _name: str, value: Any, context: Context) -> None:
+        """Write the fields of the value."""
+        self.record.put(group, value, context)
+
+    def read(self, group: h5py.Group, _name: str, context: Context) -> Any:
+        """Return the value from its fields."""
+        return self.record.get(group, {}, context)
 
 
 @dataclass(frozen=True)
@@ -424,7 +439,7 @@ def _codec(hint: Any, stored: Stored | None) -> Codec:
             "U", lambda text: hint(**plain(json.loads(text))), (), False, Stored(), lambda v: json.dumps(vars(v))
         )
     if _is_record(hint):
-        return record(hint)
+        return Inline(record(hint)) if stored is INLINE else record(hint)
     if leaf := _leaf(hint, stored):
         return leaf
     if origin is tuple and len(args) == 2 and args[1] is ...:
@@ -574,7 +589,7 @@ def write_fields(group: h5py.Group, value: Any, units: Mapping[str, str] | None 
     ValueError
         When the shape of a field differs from the declared one.
     """
-    record(type(value)).put(group, value, units or {})
+    record(type(value)).put(group, value, Context(units or {}))
 
 
 def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
@@ -594,7 +609,7 @@ def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
     dataclass
         The value, of type `made`.
     """
-    value: T = record(made).get(group, given)
+    value: T = record(made).get(group, given, Context())
     return value
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
 from itertools import groupby
 from operator import itemgetter
@@ -137,7 +137,7 @@ def with_local(job: Job, name: str, result: identify.FitResult, recording: str) 
     parameters = {q.name: estimates[q.name] for q in structure.parameters}
     model = kind_of(structure).model(parameters, result.model.input_names, result.model.output_names)
     first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
-    return replace(result, model=model, model_slopes=result.model_slopes if first == other else None)
+    return result.changed(model=model, model_slopes=result.model_slopes if first == other else None)
 
 
 # ---- Rows of a cross-validation, and their table in CSV.

@@ -434,7 +434,7 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         result = identify.fit_multistart(
             structure, measured, **options, progress=job.reporter.iteration, **arguments
         ).best
-    result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
+    result = result.noted(*_suspects(job, name, result, data))
     save(result, part, overwrite=True, document=_document(job.experiment, structure, name, model, result))
     return Made(result.status, result.success, float(min(result.fit_percent.flat, default=nan)))
 

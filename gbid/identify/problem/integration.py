@@ -11,13 +11,12 @@ import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray
-from gbid.core.notes import FitNote
 from gbid.discretise.dual import Dual
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations
-from gbid.identify.result import FitResult, FitStatus
+from gbid.identify.result import FitStatus
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
 
@@ -78,30 +77,6 @@ def integrated_finely(
         if is_finer:
             ahead = refinement(problem, solution.unknowns, box)
     return problem, solution, ahead.shift[: problem.n_theta] * problem.theta_scale
-
-
-def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitResult:
-    """Return a result with the shift of its estimates in standard deviations, and a note where it matters."""
-    if shift is None:
-        return result
-    std = np.array([result.std[name] for name in result.free])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.where(std > 0, shift / std, np.nan)
-    result = replace(result, integration_shift=relative)
-    large = [f"{q} by {abs(off):.2g}" for q, off in zip(result.free, relative, strict=True) if abs(off) > TOLERATED]
-    if not (large and result.success):
-        return result
-    if result.schedule is not None:
-        note = FitNote.PIECES(
-            f"{result.schedule.pieces} pieces with constant parameters are too few for the courses: with shorter ones "
-            f"estimates move, in standard deviations: {', '.join(large)}; make piece_s shorter, or fit fewer recordings"
-        )
-    else:
-        note = FitNote.INTEGRATION(
-            f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
-            "steps in a sample (steps=...), or integrator='implicit'"
-        )
-    return replace(result, notes=(*result.notes, note))
 
 
 def with_steps(problem: Shooting, steps: int) -> Shooting:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -96,28 +95,40 @@ class Side(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Walker(ABC):
-    """Profile likelihoods by walks along a parameter. It is not stored: a pickled one is None.
+class Profiler:
+    """Profile likelihoods around the estimates of a fit, by walks along a parameter; a pickled one is None.
 
     Attributes
     ----------
     names : tuple of str
         Free parameters.
-    scales : (n_theta,) array
-        Scales of the parameters.
     box : (n_unknowns,) array, (n_unknowns,) array
         Bounds of the unknowns, scaled; the parameters are the first.
-    likelihood_size : float
-        The log-likelihood over the cost.
     loss : float
         Loss of the fit.
+    estimate : Estimate
+        Problem of the fit at its estimates.
+    products : (n_y, n_y) array
+        Sum of the products of the errors.
+    held : (n_theta,) boolean array
+        Parameters on a bound.
+    variance : (n_theta,) array
+        Variances that the fit trusts.
+    curvature : (n_theta,) array
+        Variances that the curvature of the cost gives alone.
+    coloured : bool
+        Whether residuals are coloured.
     """
 
     names: tuple[str, ...]
-    scales: FloatArray
     box: Box
-    likelihood_size: float
     loss: float
+    estimate: Estimate
+    products: FloatArray
+    held: BoolArray
+    variance: FloatArray
+    curvature: FloatArray
+    coloured: bool
 
     def __reduce__(self) -> tuple[type, tuple[()]]:
         return type(None), ()
@@ -127,29 +138,15 @@ class Walker(ABC):
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._profile(name, unit, level)
 
-    @cached_property
-    @abstractmethod
-    def origin(self) -> ConstrainedFit:
-        """Minimum of the cost with all parameters free."""
-
-    @abstractmethod
-    def losses(self, rises: FloatArray) -> FloatArray:
-        """Return the losses where the cost is larger by `rises`."""
-
-    @abstractmethod
-    def spread(self, j: int) -> tuple[float, float]:
-        """Return the standard deviation of a parameter, and by how much the ratio of its likelihoods is too large."""
-
-    @abstractmethod
-    def constrained(
-        self, start: ConstrainedFit, j: int | None, change: float, ridge: float = WALK.ridge
-    ) -> ConstrainedFit | None:
-        """Return the minimum with one unknown changed from that of `start`, and held."""
+    @property
+    def likelihood_size(self) -> float:
+        """Log-likelihood over the cost."""
+        return self.estimate.problem.likelihood_size
 
     def _profile(self, name: str, unit: str, level: float) -> Profile:
         j, threshold = self.names.index(name), float(scipy.special.chdtri(1, 1 - level))
         std, factor = self.spread(j)
-        origin, scale = self.origin, float(self.scales[j])
+        origin, scale = self.origin, float(self.estimate.problem.theta_scale[j])
         to_ratio = 2 * self.likelihood_size / factor
         first = np.sqrt(threshold) / WALK.steps * std / scale
         if not np.isfinite(first):
@@ -207,34 +204,6 @@ class Walker(ABC):
             wanted = aim if target - root > 1.5 * aim else 1.05 * (target - root)
             length *= min(2.0, max(0.2, wanted / rise)) if rise > 0 else 2.0
         return side
-
-
-@dataclass(frozen=True, eq=False)
-class Profiler(Walker):
-    """Likelihood around the estimates of a fit to recordings.
-
-    Attributes
-    ----------
-    estimate : Estimate
-        Problem of the fit at its estimates.
-    products : (n_y, n_y) array
-        Sum of the products of the errors.
-    held : (n_theta,) boolean array
-        Parameters on a bound.
-    variance : (n_theta,) array
-        Variances that the fit trusts.
-    curvature : (n_theta,) array
-        Variances that the curvature of the cost gives alone.
-    coloured : bool
-        Whether residuals are coloured.
-    """
-
-    estimate: Estimate
-    products: FloatArray
-    held: BoolArray
-    variance: FloatArray
-    curvature: FloatArray
-    coloured: bool
 
     @cached_property
     def posed(self) -> tuple[Shooting, FloatArray, Box]:
