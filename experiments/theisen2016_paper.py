@@ -26,6 +26,7 @@ from theisen2016_comparison import (
     sentences,
 )
 
+from gbid.control.assessment import comparison_table, conditions_words
 from gbid.control.impact.study import response_rows
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, NoSpaceError, UsageError
@@ -34,9 +35,8 @@ from gbid.experiment.fields import InputError, Item, Result, content_key, stored
 from gbid.experiment.run import Job, Outcome, Task, produce, run_tasks
 from gbid.lpv import TERMS
 from gbid.report.canvas import save_figure
-from gbid.report.control_tables import comparison_table
 from gbid.report.named import named_figures, write_shipped
-from gbid.report.read import Results, conditions_words, design_performances
+from gbid.report.read import Results, design_performances
 from gbid.structure import KEY_PARAMETERS
 
 # ---- Tables of the paper from the results of an experiment: CSV for programs, Markdown for reports.

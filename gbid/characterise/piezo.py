@@ -22,9 +22,11 @@ from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
+from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
 from gbid.core.option_types import Share
+from gbid.core.tables import Column, Row, Table, finite_or_none, formatted, in_unit
 from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
@@ -32,7 +34,7 @@ _NEAR_LIMIT = 0.01  # of the range
 
 
 @dataclass(frozen=True, eq=False)
-class PiezoCurve(Brief, hdf5.InFile):
+class PiezoCurve(Brief, Pictured, hdf5.InFile):
     """Stationary piezo position over voltage or reference, and its step responses.
 
     Attributes
@@ -110,6 +112,47 @@ class PiezoCurve(Brief, hdf5.InFile):
             uniformity=self.uniformity,
             notes=self.notes,
         )
+
+    def document(self) -> Row:
+        """Return hysteresis, creep and uniformity as plain values, for JSON."""
+        steps = ~self.saturated
+        figures = ("hysteresis", "hysteresis_std", "hysteresis_at", "hysteresis_share", "uniformity")
+        return {
+            "kind": "piezo",
+            "recordings": [self.name],
+            "channel": self.channel,
+            "units": list(self.units),
+            **{name: finite_or_none(getattr(self, name)) for name in figures},
+            "range": [float(self.position.min()), float(self.position.max())],
+            "step_gain": finite_or_none(float(np.mean(self.step_gain[steps]))) if steps.any() else None,
+            "creep": finite_or_none(float(np.mean(self.creep[steps]))) if steps.any() else None,
+            "steps": len(self.step),
+            "saturated_steps": [int(i) + 1 for i in np.flatnonzero(self.saturated)],
+            "notes": list(self.notes),
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the table of hysteresis, creep and uniformity."""
+        (source, output), values = self.units, self.document()
+        shown = (
+            ("hysteresis", "hysteresis", 1.0, output),
+            ("  its standard error", "hysteresis_std", 1.0, output),
+            ("  over the range", "hysteresis_share", 100.0, "%"),
+            ("creep per step", "creep", 100.0, "%"),
+            ("gain per step", "step_gain", 1.0, f"{output}/{source}"),
+            ("non-uniformity of the steps", "uniformity", 100.0, "%"),
+        )
+        rows = [
+            [words, formatted(None if values[key] is None else factor * values[key], 3, unit)]
+            for words, key, factor, unit in shown
+        ]
+        return [Table(self.name, [Column(self.channel), Column("value", format=3)], rows, self.notes)]
+
+    def figures(self) -> list[Figure]:
+        """Return the hysteresis over the command, and the steps."""
+        how = "in open loop" if self.units[0] == "V" else "with its controller"
+        words = f"Hysteresis of the piezo: {in_unit(self.hysteresis, self.units[1])} {how}"
+        return [Figure("plot_piezo_hysteresis", words, ([self],)), Figure("plot_piezo_staircase", "steps", ([self],))]
 
 
 def characterise_piezo(

@@ -15,9 +15,11 @@ from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
+from gbid.core.figures import Pictured
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
 from gbid.core.option_types import Share
+from gbid.core.tables import Column, Entry, Row, Table, finite_or_none, shown_unit
 from gbid.recording import Recording
 
 # ---- Static map of the rotor on its bearing (paper, Sec. 3.1 and Fig. 5).
@@ -33,7 +35,7 @@ def stored_units(units: tuple[str, str]) -> dict[str, str]:
 
 
 @dataclass(frozen=True, eq=False)
-class StaticMap(Brief, hdf5.InFile):
+class StaticMap(Brief, Pictured, hdf5.InFile):
     r"""Steady positions over steady inputs, and the straight lines fitted to them.
 
     .. math:: \bar p_{i,k} = \sum_j g_{ij} \bar u_{j,k} + c_{i,m(k)} + e_{i,k}
@@ -128,6 +130,46 @@ class StaticMap(Brief, hdf5.InFile):
             hysteresis=self.hysteresis,
             notes=self.notes,
         )
+
+    drawn_by = "plot_static_map"
+
+    def document(self) -> Row:
+        """Return gains with their intervals and deviations from straight lines as plain values, for JSON."""
+        interval = self.interval()
+        figures = {
+            **{"gain": self.gain, "std": self.gain_std, "lower_95": interval[..., 0], "upper_95": interval[..., 1]},
+            **{key: getattr(self, key) for key in ("rms", "largest", "hysteresis", "hysteresis_std")},
+        }
+        return {
+            "kind": "bearing",
+            "recordings": list(self.sources),
+            "conditions": dict(self.conditions),
+            "units": list(self.units),
+            "plateaus": len(self.command),
+            "dof": self.dof,
+            "gains": [
+                {"output": output, "input": source, **{key: finite_or_none(q[i, j]) for key, q in figures.items()}}
+                for i, output in enumerate(self.output_names)
+                for j, source in enumerate(self.input_names)
+            ],
+            "offset": self.offset.tolist(),
+            "notes": list(self.notes),
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the table of the gains, with the deviations from straight lines."""
+        factor, unit = shown_unit(self.units[1])
+        names = {"rms": "rms off\nlinear\n", "largest": "largest\n", "hysteresis": "hysteresis\n"}
+        names["hysteresis_std"] = "its std\n"
+        rows: list[list[Entry]] = [
+            [f"{source} to {output}", self.gain[i, j], self.gain_std[i, j]]
+            + [factor * getattr(self, name)[i, j] for name in names]
+            for i, output in enumerate(self.output_names)
+            for j, source in enumerate(self.input_names)
+        ]
+        columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
+        columns += [Column(name, unit, 3) for name in names.values()]
+        return [Table(", ".join(self.sources), columns, rows, self.notes)]
 
     @property
     def gain_std(self) -> FloatArray:

@@ -217,7 +217,7 @@ def peek(
     from gbid.cli.printing import print_json, print_tables
     from gbid.recording.importing import list_channels, read_layout
     from gbid.recording.mapping import TextOptions
-    from gbid.report.fit_tables import channel_rows, channel_table, layout_words
+    from gbid.report.campaign_tables import channel_rows, channel_table, layout_words
 
     given: Any = (encoding, decimal, delimiter, header_line)
     text = TextOptions(*given)

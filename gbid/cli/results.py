@@ -38,7 +38,7 @@ def show(
     from gbid.core.errors import DataError, UsageError
     from gbid.core.hdf5 import read_made_with
     from gbid.core.names import printable
-    from gbid.report.fit_tables import origin_table
+    from gbid.report.campaign_tables import origin_table
 
     if result.is_dir():
         raise UsageError(f"{result}: a folder; name one of its files, or give two folders to `gbid diff`")
@@ -64,44 +64,15 @@ def show(
 
 def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     """Return kind, document and tables of the value in an HDF5 file; without tables its document has a text."""
-    from gbid.characterise import PiezoCurve, StaticMap
-    from gbid.control import ImpactStudy
-    from gbid.control.assessment import TunedDesign
     from gbid.core.hdf5 import load
     from gbid.core.tables import titled
     from gbid.identify import FitResult
-    from gbid.identify.fit_tables import fit_document
-    from gbid.lpv import LPVFit
-    from gbid.prefilter import PrefilterFile
-    from gbid.report import control_tables, fit_tables
-    from gbid.validate import ValidationSummary
 
-    value, name = load(path), path.stem
-    document: dict[str, Any]
-    match value:
-        case FitResult():
-            document, tables = fit_document(value), titled(f"{path.parent.name}, {name}", value.tables())
-        case TunedDesign():
-            (document,) = control_tables.tuning_documents((), {name: value})
-            tables = control_tables.tuning_tables([document])
-        case ImpactStudy():
-            document = control_tables.impact_document(name, value, path)
-            tables = control_tables.impact_tables([document])
-        case LPVFit():
-            document = fit_tables.lpv_document(name, value, path, published=False)
-            tables = [fit_tables.lpv_table(document)]
-        case StaticMap() | PiezoCurve():
-            document = fit_tables.static_document(name, value)
-            tables = [fit_tables.static_table(document)]
-        case ValidationSummary():
-            document = fit_tables.summary_document(name, value, path)
-            tables = [fit_tables.validation_table(document)]
-        case PrefilterFile():
-            document = {"prefilter": fit_tables.prefilter_rows(value.reports)}
-            tables = [fit_tables.prefilter_table(document["prefilter"])]
-        case _:  # recordings, tables of fits: no tables of their own that fit on a screen
-            document, tables = {"text": repr(value)}, []
-    return type(value).__name__, document, tables
+    value = load(path)
+    if not hasattr(value, "document"):  # recordings, tables of fits: no tables that fit on a screen
+        return type(value).__name__, {"text": repr(value)}, []
+    name = f"{path.parent.name}, {path.stem}" if isinstance(value, FitResult) else path.stem
+    return type(value).__name__, {"name": path.stem, **value.document()}, titled(name, value.tables())
 
 
 # ---- `gbid compare`: models side by side on recordings.

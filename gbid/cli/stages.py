@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from gbid.experiment.experiment import Experiment, changed_files
 from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, no_tasks, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
-from gbid.report.fit_tables import campaign_document, campaign_tables
+from gbid.report.campaign_tables import campaign_document, campaign_tables
 from gbid.report.read import kept_report
 from gbid.report.views import fit_rows, summary_lines, view_of
 
@@ -195,9 +196,9 @@ def document_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) 
     return {key: value for stage in stages for key, value in view_of(stage).document(job, outcomes).items()}
 
 
-def tables_of(stages: Sequence[Stage], document: Mapping[str, Any]) -> Iterable[Table]:
+def tables_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) -> Iterable[Table]:
     """Return the tables of stages, made when they are printed."""
-    return (table for stage in stages for table in view_of(stage).tables(document))
+    return (table for stage in stages for table in view_of(stage).tables(job, outcomes))
 
 
 def conclude(
@@ -294,7 +295,7 @@ def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | Non
             elif not (stage.early and whole_campaign):
                 outcomes += run_stage(job, stage)
     document = document_of(job, stages, outcomes)
-    conclude(word, experiment, options, outcomes, document, tables_of(shown, document))
+    conclude(word, experiment, options, outcomes, document, tables_of(job, shown, outcomes))
 
 
 def run_one(path: Path, options: CommonOptions, item: str) -> None:
@@ -311,7 +312,7 @@ def run_one(path: Path, options: CommonOptions, item: str) -> None:
     with opened(experiment, replace(options, engine="serial"), shared=True) as job:
         outcomes = run_campaign(job, one=item)
     document = document_of(job, [FIT], outcomes)
-    conclude("", experiment, options, outcomes, document, tables_of([FIT], document))
+    conclude("", experiment, options, outcomes, document, tables_of(job, [FIT], outcomes))
 
 
 def list_items(path: Path, options: CommonOptions) -> None:
@@ -375,11 +376,11 @@ def run_all(path: Path, options: CommonOptions) -> None:
     many = [] if table is None or options.as_json or len(table) <= MANY else fit_rows(table)
     document = document_of(job, [stage for stage in shown if not (many and stage is FIT)], outcomes)
     document = {"fits": many, **document}
-    tables = tables_of(shown, document)
+    tables = tables_of(job, shown, outcomes)
     if len(document["fits"]) > MANY:
         at = shown.index(FIT)
         campaign = campaign_tables(campaign_document(experiment, outcomes, table))
-        tables = [*tables_of(shown[:at], document), *campaign, *tables_of(shown[at + 1 :], document)]
+        tables = chain(tables_of(job, shown[:at], outcomes), campaign, tables_of(job, shown[at + 1 :], outcomes))
     figures = [str(outcome.path) for outcome in drawn if outcome.state != "failed"]
     page = None if written.state == "failed" else str(written.path)
     about = {"experiment": experiment.spec.name, "results": str(experiment.results), "figures": figures, "report": page}

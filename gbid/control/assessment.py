@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import inf, isnan, nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -32,7 +32,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.hdf5 import Stored
-from gbid.core.tables import Cell, Column, Entry, Table, html_table
+from gbid.core.tables import Cell, Column, Entry, Row, Table, formatted, keyed_table
 from gbid.lpv import LPVFit, LPVModel
 from gbid.structure import LinearModel, PiezoPair, evaluate, with_pade
 from gbid.structure.linear import Structure
@@ -422,8 +422,9 @@ class Comparison:
     def __repr__(self) -> str:
         return str(self)
 
-    def _repr_html_(self) -> str:
-        return html_table(self.table())
+    def tables(self) -> list[Table]:
+        """Return the table of the figures."""
+        return [self.table()]
 
     def table(self) -> Table:
         """Return the table with its values; `to_frame` of it makes a data frame."""
@@ -643,3 +644,192 @@ class TunedDesign(hdf5.InFile):
         hdf5.write_fields(group, self)
         for performance in group["performance"].values():
             hdf5.add_texts(performance["figures"], "columns", tuple(FIGURES))
+
+    def document(self) -> Row:
+        """Return the design as plain values, for JSON."""
+        return {
+            "plant": self.plant,
+            "structure": self.performance[0].structure if self.performance else "",
+            **_result_row(self.result),
+            "points": [list(point) for point in self.result.points],
+            "sample_time_s": self.sample_time,
+            "method": self.method,
+            "impact": {name: getattr(self.impact, name) for name in ("peak_n", "duration_s", "mass_kg")},
+            "performance": [_performance_row(performance) for performance in self.performance],
+            "pareto": [{"cap": cap, **_result_row(result)} for cap, result in self.front],
+            "promises": [{**promise._asdict(), "holds": promise.holds} for promise in self.promises],
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the tables of its figures, and of what the tuning found."""
+        named = {self.name: self}
+        return [*assessment_tables(named), *design_tables(named)]
+
+
+# ---- Tables of tuned designs: side by side, what the tuning reached, and the conditions in words.
+
+_HOLDS: Mapping[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
+NO_IMPACT = "disc and stack under an impact left out: moving mass not known (machine: moving_mass_kg)"
+_OF_RESULT = (
+    *("value", "objective", "status", "success", "violation", "verified_on"),
+    *("peak_sensitivity", "peak_control", "static_amplification"),
+)
+_EXCESS = "excess: logarithm of the value over its limit, of damping factors the limit minus the value; met at most 0"
+
+
+def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
+    """Return impact and sampling of the figures of designs as text."""
+    hit = NO_IMPACT
+    if impact.mass_kg is not None:
+        hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
+    return f"{hit}; {sampling_words(sample_time, method)} with one sample for computation"
+
+
+def sampling_words(sample_time: float, method: Method) -> str:
+    """Return the sampling of a controller as text."""
+    return f"sampled at {1e3 * sample_time:g} ms ({_HOLDS[method]})"
+
+
+def gains_words(gains: Mapping[str, float]) -> str:
+    """Return the gains of a controller as text."""
+    return ", ".join(f"{name} = {value:.5g}" for name, value in gains.items())
+
+
+def _result_row(result: GainResult) -> Row:
+    return {
+        "gains": dict(result.gains),
+        **{name: getattr(result, name) for name in _OF_RESULT},
+        "worst": {name: getattr(result.worst, name) for name in ("where", "frequency_hz", "damping")},
+        "active": list(result.active),
+        "goals": [asdict(figure) for figure in result.goals],
+        "notes": list(result.notes),
+    }
+
+
+def _performance_row(performance: DesignFigures) -> Row:
+    return {
+        "name": performance.name,
+        "structure": performance.structure,
+        "gains": dict(performance.gains),
+        "worst": {
+            figure: {"value": value, "pressure_bar": point[0], "speed_rpm": point[1]}
+            for figure, (value, point) in performance.worst.items()
+        },
+        "points": [
+            {"pressure_bar": float(p), "speed_rpm": float(n), **performance.at(row)}
+            for row, (p, n) in enumerate(performance.points)
+        ],
+    }
+
+
+def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDesign]]:
+    """Return the designs in groups with equal plant, operating points, impact and sampling."""
+    groups: dict[tuple[object, ...], dict[str, TunedDesign]] = {}
+    for name, design in designs.items():
+        points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
+        conditions = design.plant, points, design.impact, design.sample_time, design.method
+        groups.setdefault(conditions, {})[name] = design
+    return list(groups.values())
+
+
+def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
+    """Return a table of the worst figures for each group of designs that were assessed alike."""
+    tables = []
+    for group in assessed_alike(designs):
+        first, *_ = group.values()
+        shown = [design.performance[0] for design in group.values() if design.performance]
+        shown += first.performance[1:]
+        points = first.result.points
+        where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+        title = f"{first.plant}, worst over {where}" if len(points) else first.plant
+        words = conditions_words(first.impact, first.sample_time, first.method)
+        tables += [comparison_table(title, shown, words)] if shown else []
+    return tables
+
+
+def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
+    """Return the table of the worst figures of designs with equal assessment, a row for each figure.
+
+    Parameters
+    ----------
+    title : str
+        Title of the table.
+    performances : sequence of DesignFigures
+        Performance of the designs.
+    note : str
+        Conditions, from `conditions_words`.
+    """
+    worst = [performance.worst for performance in performances]
+    rows = [
+        [shown.heading, *(formatted(shown.factor * figures[name][0], shown.format) for figures in worst)]
+        for name, shown in FIGURES.items()
+        if not all(np.isnan(figures[name][0]) for figures in worst)
+    ]
+    gains = [f"{q.name} ({q.structure}): {gains_words(q.gains)}" for q in performances]
+    columns = [Column("figure"), *(Column(q.name, format=4) for q in performances)]
+    return Table(title, columns, rows, [note, *gains])
+
+
+def design_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
+    """Return tables of aims, goals, caps on the peak of S_o, and promises; those without rows are left out."""
+    tables = (_aims(designs), _goals(designs), _caps(designs), _promises(designs))
+    return [table for table in tables if table.rows]
+
+
+def _aims(designs: Mapping[str, TunedDesign]) -> Table:
+    rows: list[list[Entry]] = []
+    notes = []
+    for name, design in designs.items():
+        result = design.result
+        worst, unit = result.worst, " 1/s" if result.objective == "decay" else ""
+        mode = f"{worst.frequency_hz:.1f} Hz, damping {worst.damping:.4f}, {worst.where}"
+        aim = f"{result.objective} {result.value:.4f}{unit}"
+        rows.append([name, result.status, aim, mode, ", ".join(result.active) or None, result.verified_on])
+        notes += [f"{name}: {note}" for note in result.notes]
+    heads = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
+    return Table("What the tuning found", [Column(head, wrap=True) for head in heads], rows, notes)
+
+
+def _goals(designs: Mapping[str, TunedDesign]) -> Table:
+    rows = [
+        (name, goal.name, "objective" if goal.soft else "limit", goal.excess, goal.where)
+        for name, design in designs.items()
+        for goal in design.result.goals
+    ]
+    columns = [Column("design"), Column("goal"), Column("kind"), Column("excess", format="+.4f"), Column("where")]
+    return Table("Goals of the designs", columns, rows, [_EXCESS])
+
+
+def _caps(designs: Mapping[str, TunedDesign]) -> Table:
+    caps = sorted({cap for design in designs.values() for cap, _ in design.front})
+    rows: list[list[Entry]] = []
+    for name, design in designs.items():
+        reached = {cap: q.value if q.success else Cell(None, q.status) for cap, q in design.front}
+        if reached:
+            structure = design.performance[0].structure if design.performance else ""
+            rows.append([name, structure, *(reached.get(cap) for cap in caps)])
+    columns = [Column("design"), Column("structure"), *(Column(f"peak {cap:g}", format=".4f") for cap in caps)]
+    return Table("Aim reached under caps on the peak of S_o", columns, rows)
+
+
+def _promises(designs: Mapping[str, TunedDesign]) -> Table:
+    columns = {
+        "design": Column("design"),
+        "probability": Column("probability", format="g"),
+        "promised": Column("promised", format=".4f"),
+        "keeps_limits": Column("keeps limits", format=".3f"),
+        "of_nominal": Column("nominal design", format=".4f"),
+        "limits_of_nominal": Column("its limits", format=".3f"),
+        "plants": Column("plants", format="d"),
+        "fresh": Column("fresh", format="d"),
+    }
+    rows: list[dict[str, Any]] = [
+        {"design": name, **promise._asdict()} for name, design in designs.items() for promise in design.promises
+    ]
+    confidences = sorted({row["confidence"] for row in rows})
+    note = (
+        f"promised: reached with the probability, at a confidence of {', '.join(f'{100 * c:g} %' for c in confidences)}"
+        ", on fresh drawn plants that the design has not seen; keeps limits: lower bound of the probability; "
+        "plants: drawn plants for which it was optimised"
+    )
+    return keyed_table("Robust designs", columns, rows, [note])

@@ -264,7 +264,7 @@ class Table:
 
 def titled(title: str, tables: Iterable[Table]) -> list[Table]:
     """Return tables of which the first has a title, before the one that it has."""
-    return [replace(q, title=f"{title}: {q.title}".removesuffix(": ")) if i == 0 else q for i, q in enumerate(tables)]
+    return [replace(q, title=f"{title}, {q.title}".removesuffix(", ")) if i == 0 else q for i, q in enumerate(tables)]
 
 
 def value_of(entry: Entry) -> Value:
@@ -298,6 +298,25 @@ def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
         return None
     factor, shown = shown_unit(unit)
     return Cell(factor * value, f"{Column('', format=format).show(factor * value)} {shown}".rstrip())
+
+
+def in_unit(value: float, unit: str, digits: int = 3) -> str:
+    """Return a value as text with significant digits, in the unit of tables.
+
+    Examples
+    --------
+    >>> in_unit(1.25e-6, "m")
+    '1.25 µm'
+    """
+    factor, shown = shown_unit(unit)
+    return f"{factor * value:.{digits}g} {shown}".rstrip()
+
+
+def keyed_table(
+    title: str, columns: Mapping[str, Column], rows: Iterable[Mapping[str, Any]], notes: Sequence[str] = ()
+) -> Table:
+    """Return the table of some values of rows, picked by the keys of the columns."""
+    return Table(title, list(columns.values()), [[row[key] for key in columns] for row in rows], notes)
 
 
 def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Sequence[str] = ()) -> Table:

@@ -439,11 +439,11 @@ class View:
     document : callable
         Function that returns the entries of the JSON document from the outcomes of a run; it skips other stages.
     tables : callable
-        Function that returns tables of these entries.
+        Function that returns the tables for a terminal.
     """
 
     document: Callable[[Job, Sequence[Outcome]], Document]
-    tables: Callable[[Document], Iterable[Table]]
+    tables: Callable[[Job, Sequence[Outcome]], Iterable[Table]]
 
 
 def outcomes_view(stage: str, key: str) -> View:
@@ -454,8 +454,8 @@ def outcomes_view(stage: str, key: str) -> View:
         made = [o for o in outcomes if o.item.stage == stage]
         return {key: [{"item": str(o.item), "state": o.state, "text": o.text, "path": str(o.path)} for o in made]}
 
-    def tables(document: Document) -> list[Table]:
-        rows = [[row[column.name] for column in columns] for row in document[key]]
+    def tables(job: Job, outcomes: Sequence[Outcome]) -> list[Table]:
+        rows = [[row[column.name] for column in columns] for row in document(job, outcomes)[key]]
         return [Table(stage, columns, rows)] if rows else []
 
     return View(document, tables)

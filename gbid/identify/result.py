@@ -19,7 +19,7 @@ from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import UsageError
 from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
-from gbid.core.tables import Column, Entry, Table
+from gbid.core.tables import Column, Entry, Row, Table
 from gbid.core.units import IN_METRES
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.fit_tables import fit_document, fit_tables
@@ -546,6 +546,10 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             for name, value in self.parameters.items()
         ]
         return Table("", columns, rows)
+
+    def document(self) -> Row:
+        """Return estimates, uncertainty and diagnosis as plain values, for JSON."""
+        return fit_document(self)
 
     def tables(self) -> list[Table]:
         """Return the tables of parameters, modes, static gains, profile likelihoods, and a summary."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,9 +17,11 @@ from gbid.core.arrays import FloatArray, one_blas_thread, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame
+from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.names import given_path
 from gbid.core.notes import SurfaceNote
+from gbid.core.tables import Cell, Column, Entry, Row, Table, shown_unit
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
@@ -56,11 +58,14 @@ from gbid.structure.linear import Structure, as_names
 from gbid.structure.scheduling import term_name
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
+LACK = 0.01
+"""Probability below which the lack of fit of surfaces is significant."""
+_SHOWN_OUTLIERS = 10
 _TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
-class LPVFit(Brief):
+class LPVFit(Brief, Pictured):
     """Surfaces of k parameters with m terms each, their uncertainty, and the estimates to which they were fitted.
 
     For a gas bearing these are the fourteen key parameters in the order of `gbid.structure.KEY_PARAMETERS`, with the
@@ -117,6 +122,76 @@ class LPVFit(Brief):
             options=self.options,
             notes=self.notes,
         )
+
+    def document(self) -> Row:
+        """Return status, deviations, orders, coefficients and outliers as plain values, for JSON."""
+        names, std = self.estimates.parameters, np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
+
+        def by_parameter(values: FloatArray) -> Row:
+            return dict(zip(names, values.tolist(), strict=True))
+
+        return {
+            "model": self.model.name,
+            "recordings": len(self.estimates.recordings),
+            "operating_points": len(self.model.operating_points),
+            "status": self.status,
+            "success": self.success,
+            "options": dict(self.options),
+            "deviations": [asdict(d) for d in self.deviations],
+            "orders": [{"order": s.order, "score": s.score, "why_not": s.why_not} for s in self.orders],
+            "coefficients": by_parameter(self.coefficients),
+            "coefficients_std": by_parameter(std),
+            "scatter_std": by_parameter(np.sqrt(np.diag(self.scatter))),
+            "lack_of_fit": by_parameter(self.lack_of_fit),
+            "outliers": [asdict(o) for o in self.outliers],
+            "left_out": list(self.estimates.left_out),
+            "notes": list(self.notes),
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the tables of the deviations from the surfaces, with orders and outliers, and of the coefficients."""
+        std = np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
+        coefficients: list[Sequence[Entry]] = [
+            (name, *(Cell(value, f"{value:.4g} ({s:.1g})") for value, s in zip(*pair, strict=True)))
+            for name, *pair in zip(self.estimates.parameters, self.coefficients.tolist(), std.tolist(), strict=True)
+        ]
+        terms = [Column("parameter"), *(Column(term, format=4) for term in self.model.terms)]
+        of_terms = Table("coefficients, in brackets their standard deviations", terms, coefficients)
+        if self.model.structure is not None:
+            return [of_terms]
+        rows: list[list[Entry]] = []
+        for d in self.deviations:
+            factor, unit = shown_unit(d.unit)
+            rows.append([d.name, factor * d.rms, factor * d.largest, unit, d.recording])
+        title = (
+            f"{len(self.estimates.recordings)} recordings at {len(self.model.operating_points)} operating points, "
+            f"{self.options.get('method', 'fitted')}, {self.status}"
+        )
+        columns = [Column(""), *(Column(name, format=".4g") for name in ("rms", "largest"))]
+        return [Table(title, [*columns, Column("unit"), Column("recording")], rows, ["", *self._remarks()]), of_terms]
+
+    def _remarks(self) -> Iterator[str]:
+        orders = [f"{q.order}: {(q.why_not and 'not possible') or format(q.score, '.3f')}" for q in self.orders]
+        if orders:
+            yield f"error at points left out, by order (order 0 = 1): {', '.join(orders)}"
+        lacking = [name for name, p in zip(self.estimates.parameters, self.lack_of_fit, strict=True) if p < LACK]
+        if lacking:
+            yield f"the surfaces miss the means of {', '.join(lacking)} by more than chance"
+        for outlier in self.outliers[:_SHOWN_OUTLIERS]:
+            yield f"off the surface: {outlier.recording}, {outlier.parameter}, {outlier.standardised:+.1f} std"
+        if len(self.outliers) > _SHOWN_OUTLIERS:
+            yield f"off the surface: {len(self.outliers)} in all; these were the worst"
+        yield from (f"left out: {text}" for text in self.estimates.left_out)
+        yield from (f"note: {note}" for note in self.notes)
+
+    def figures(self) -> list[Figure]:
+        """Return modes and delays over pressure, and surfaces of the other parameters, with the estimates."""
+        over = {"frequency": "natural frequencies", "damping": "damping factors", "delay": "delays"}
+        surfaces = {"k": "stiffness", "d": "damping", "b": "piezo influence"}
+        return [
+            *(Figure("plot_over_pressure", f"{over[q]} over pressure", (self,), {"what": q}) for q in over),
+            *(Figure("plot_surfaces", f"{surfaces[q]} as surfaces", (self,), {"letter": q}) for q in surfaces),
+        ]
 
     @property
     def coefficients(self) -> FloatArray:

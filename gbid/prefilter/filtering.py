@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, NamedTuple
@@ -19,6 +19,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.notes import DataNote
+from gbid.core.tables import Column, Row, Table, shown_unit
 from gbid.prefilter.runout import RunoutMap, running_median, shaft_motion
 from gbid.recording import Recording
 
@@ -212,6 +213,7 @@ def _converter_step(x: FloatArray) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
+_SHOWN_SPIKES = 10  # whose sample numbers a row lists
 _NO_MEAN = ("phi", "force", "pressure_bar", "speed_rpm", "unbalance")  # these have no offset to remove
 
 
@@ -554,6 +556,48 @@ class _Signal:
     offset: Annotated[FloatArray, Stored("unit", "mean removed", "channels")]
 
 
+def correction_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
+    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
+    return [
+        {
+            "recording": report.name,
+            "channel": f"p_{channel}",
+            "unit": report.units["p"],
+            "rms_before": float(report.rms_before["p"][i]),
+            "rms_after": float(report.rms_after["p"][i]),
+            "offset": float(report.offsets["p"][i]),
+            "runout_share": float(report.runout_share[i]),
+            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
+            "spikes": report.spikes[i],
+            "first_spikes": list(report.spike_samples[i][:_SHOWN_SPIKES]) if report.spike_samples else [],
+            "notes": list(report.notes),
+        }
+        for report in reports
+        for i, channel in enumerate(report.channels["p"])
+    ]
+
+
+def correction_table(rows: Sequence[Row]) -> Table:
+    """Return the table of the corrections by the prefilter, from `correction_rows`."""
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    factor, unit = shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
+    columns = [
+        Column("recording"),
+        Column("rms\nbefore\n", unit, ".3f"),
+        Column("after\n", unit, ".3f"),
+        Column("offset\n", unit, ".3f"),
+        Column("run-out\nshare", format=".1%"),
+        Column("harmonics\n1, 2, 3", unit),
+        Column("spikes", format="d"),
+    ]
+    laid = []
+    for row in rows:
+        harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
+        sizes = (factor * row[key] for key in ("rms_before", "rms_after", "offset"))
+        laid.append([f"{row['recording']} {row['channel']}", *sizes, row["runout_share"], harmonics, row["spikes"]])
+    return Table("Prefilter: what it removed from each channel", columns, laid)
+
+
 @dataclass(frozen=True, eq=False)
 class PrefilterFile(hdf5.InFile):
     """Run-out map of an operating point, and the reports of the recordings that it corrected.
@@ -569,6 +613,14 @@ class PrefilterFile(hdf5.InFile):
     runout_map: RunoutMap | None = None
     reports: tuple[PrefilterReport, ...] = ()
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("prefilter", "make it again with `gbid run`")
+
+    def document(self) -> Row:
+        """Return the corrections of each channel as plain values, for JSON."""
+        return {"prefilter": correction_rows(self.reports)}
+
+    def tables(self) -> list[Table]:
+        """Return the table of the corrections."""
+        return [correction_table(correction_rows(self.reports))]
 
     def to_hdf5(self, group: h5py.Group) -> None:
         """Write map and reports to the `group`."""

@@ -13,6 +13,12 @@ const Charts = (() => {
     return made;
   }
 
+  // Numbers of a page: 16-bit integers with a factor; -32768 is a missing one.
+  function curve({ scale, values }) {
+    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
+    return Array.from(new Int16Array(bytes.buffer), (v) => (v === -32768 ? NaN : v * scale));
+  }
+
   // Values at which an axis is labelled: 1, 2 or 5 times a power of ten apart.
   function ticks(low, high, wanted) {
     const rough = (high - low) / Math.max(wanted, 1);
@@ -109,7 +115,20 @@ const Charts = (() => {
     host.appendChild(list);
   }
 
-  // spec: {title, x, y, height, series: [{name, style, x, y | low, high}], points: [{name, style, kind, x, y}], rays: [damping]}
+  // Squares of a map, the first index along x: {edges: centres of rows and columns, values: [{level from 0 to 1, over}]}
+  function squares(plane, { edges, values }, sx, sy) {
+    const half = (edges[1] - edges[0]) / 2;
+    const [width, height] = [sx(edges[1]) - sx(edges[0]), sy(edges[0]) - sy(edges[1])];
+    values.forEach(({ level, over }, i) => {
+      if (!Number.isFinite(level)) return;
+      const [a, b] = [edges[Math.floor(i / edges.length)] - half, edges[i % edges.length] + half];
+      node(plane, "rect", { x: sx(a), y: sy(b), width: width + 0.3, height: height + 0.3, class: "cell", "fill-opacity": 0.08 + 0.8 * level });
+      if (over) node(plane, "path", { d: `M${sx(a)} ${sy(b) + height}l${width} ${-height}`, class: "hatch" });
+    });
+  }
+
+  // spec: {title, x, y, height, series: [{name, style, x, y | low, high}], points: [{name, style, kind, x, y}], rays: [damping],
+  //        cells: {edges, values, name}, pick(x, y): called with the place of a click}
   // An axis: {label, min, max, log, atLeast, atMost}; what is missing follows from the data.
   function draw(host, spec) {
     host.replaceChildren();
@@ -141,6 +160,7 @@ const Charts = (() => {
       node(svg, "text", { x: MARGIN.left - 6, y: sy(v) + 4, "text-anchor": "end" }, number(v));
     }
     const plane = node(svg, "g", { "clip-path": `url(#${clip})` });
+    if (spec.cells) squares(plane, spec.cells, sx, sy);
     if (xAxis.zero) node(plane, "path", { d: `M${sx(0)} ${MARGIN.top}V${bottom}`, class: "zero" });
     for (const zeta of spec.rays ?? []) ray(svg, plane, zeta, xAxis, yAxis, sx, sy);
     for (const s of lines) {
@@ -157,6 +177,14 @@ const Charts = (() => {
     }
     node(svg, "path", { d: `M${MARGIN.left} ${MARGIN.top}V${bottom}H${right}`, class: "axis" });
     node(svg, "text", { x: (MARGIN.left + right) / 2, y: height - 6, "text-anchor": "middle" }, xAxis.label);
+    if (spec.cells) host.appendChild(Object.assign(document.createElement("p"), { className: "note", textContent: spec.cells.name }));
+    if (spec.pick) {
+      svg.addEventListener("click", (event) => {
+        const box = svg.getBoundingClientRect();
+        const along = (axis, place, from, to) => axis.min + ((place - from) / (to - from)) * (axis.max - axis.min);
+        spec.pick(along(xAxis, event.clientX - box.left, MARGIN.left, right), along(yAxis, event.clientY - box.top, bottom, MARGIN.top));
+      });
+    }
     const middle = (MARGIN.top + bottom) / 2;
     node(svg, "text", { x: 13, y: middle, "text-anchor": "middle", transform: `rotate(-90 13 ${middle})` }, yAxis.label);
   }
@@ -173,5 +201,5 @@ const Charts = (() => {
     node(svg, "text", { x: sx(-reach) + 3, y, "text-anchor": "start", class: "ray-name" }, String(zeta));
   }
 
-  return { draw, number };
+  return { draw, number, curve };
 })();

@@ -1,40 +1,32 @@
-"""Section on the controller: comparison of designs, Pareto front, pictures of each, and the gain explorer."""
+"""Sections on designs (comparison, Pareto front, pictures, gain explorer), impacts, the cycle, and loops."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from math import isnan
-from typing import Any, Literal
 
 import numpy as np
 
-from gbid.control import HalfSine, PStructure, close_loop, impact_response
+from gbid.control import close_loop, impact_response
 from gbid.control.assessment import FIGURES as POINT_FIGURES
-from gbid.control.assessment import TunedDesign
+from gbid.control.assessment import (
+    NO_IMPACT,
+    TunedDesign,
+    assessment_tables,
+    comparison_table,
+    conditions_words,
+    design_tables,
+)
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
-from gbid.core.tables import Column, Entry, Row, Table
+from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
-from gbid.experiment.stages.loop import made_costs
-from gbid.lpv import LPVFit, LPVModel
-from gbid.lpv.model import TERMS
-from gbid.report.control_tables import (
-    assessment_tables,
-    comparison_table,
-    cycle_documents,
-    cycle_summary,
-    design_tables,
-    gains_words,
-    impact_documents,
-    impact_tables,
-    loop_documents,
-    loop_tables,
-    tuning_documents,
-)
-from gbid.report.fit_tables import lpv_document, lpv_table
+from gbid.experiment.stages.cycle import rounds_table
+from gbid.experiment.stages.loop import cost_tables, made_costs
+from gbid.report.explorer import explorer_part
 from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
 from gbid.report.loop_pictures import (
     damping_map_data,
@@ -46,10 +38,9 @@ from gbid.report.loop_pictures import (
     plot_root_locus,
     root_locus_data,
 )
-from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Templated, Words
-from gbid.report.read import NO_IMPACT, AssessedDesign, Results, conditions_words, place_of
-from gbid.report.surface_pictures import over_pressure_data, plot_over_pressure, plot_surfaces, surfaces_data
-from gbid.structure import KEY_PARAMETERS, LinearModel
+from gbid.report.page import Block, Fold, Gallery, PageSection, Pictures, Shown, Words
+from gbid.report.read import AssessedDesign, Results, place_of
+from gbid.structure import LinearModel
 
 # ---- Pictures of a design at its worst operating point: root locus, damping map, sensitivities, impact responses.
 
@@ -143,9 +134,8 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
         return blocks
     blocks += [Words(f"{name}: {text}", "warn") for name, design in tuned.items() for text in held_back(design)]
     drawn_over = {design.name for design in results.assessed}
-    documents = tuning_documents((), tuned)
-    blocks += assessment_tables([document for document in documents if document["design"] not in drawn_over])
-    blocks += design_tables(documents)
+    blocks += assessment_tables({name: design for name, design in tuned.items() if name not in drawn_over})
+    blocks += design_tables(tuned)
     if any(design.promises for design in tuned.values()):
         words = "Promised objective of robust designs over the probability; the table above has its numbers"
         blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))
@@ -161,7 +151,6 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     return [*blocks, Shown(pictures.picture(plot_pareto(data), alt))] if drawn > 1 else blocks
 
 
-TITLE = "Controller"
 _BY_POINT = (
     *("damping", "peak_output", "peak_control", "static_amplification", "slowest_decay_hz"),
     *("impact_p_m", "stack_travel_m", "sampled_damping"),
@@ -169,13 +158,14 @@ _BY_POINT = (
 """Figures of the table by operating point."""
 
 
-def controller_section(results: Results, pictures: Pictures) -> PageSection:
-    """Return the section with the tuned and published designs, and the figures that the tuning stored."""
-    designs, model, words = results.assessed, results.loop_model, loop_words(results)
+def controller_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with the designs and the gain explorer; None without designs and surfaces with actuators."""
+    designs, model, spec = results.assessed, results.loop_model, results.experiment.spec
+    item = next((name for name, fit in results.surfaces.items() if fit.model is model), None)
+    if not spec.controller and item is None:
+        return None
     blocks: list[Block] = []
-    if model is None and not results.designs.made:
-        return PageSection("controller", TITLE, [Words(words, "warn")])
-    if not results.designs.made:
+    if not spec.controller:
         text = "This experiment designed no controller; the gains shown are those that came with the machine."
         blocks.append(Words(text))
     for group in dict.fromkeys(design.group for design in designs):
@@ -192,24 +182,9 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
             drawn = [Words(f"{design.name} cannot be drawn: {error}", "warn")]
         blocks += drawn if i == 0 else [Fold(f"Pictures of {design.name}", drawn)]
     if model is not None:
-        impact = designs[0].impact if designs else HalfSine().on(model.machine)
-        shown = [(design.name, design.structure, design.figures.gains) for design in designs]
-        blocks.append(explorer_part(model, words, shown, impact))
-    return PageSection("controller", TITLE, blocks)
-
-
-def loop_words(results: Results) -> str:
-    """Return a description of the model on which the explorer closes loops, or the reason why there is none."""
-    model, surfaces = results.loop_model, results.surfaces
-    for item, fit in surfaces.items():
-        if fit.model is model:
-            return f"the surfaces {item} of this experiment"
-    if model is not None:
-        why = "have no actuators (lpv: actuators)" if surfaces else "were not drawn here"
-        return f"the model {model.name} behind the virtual rig, because surfaces {why}"
-    if surfaces:
-        return "The surfaces have no actuators, so no loop can be closed; add lpv: actuators."
-    return "No loop can be closed: there are no surfaces over pressure and speed (section lpv)."
+        words = f"the surfaces {item} of this experiment" if item else f"the model {model.name} behind the virtual rig"
+        blocks.append(explorer_part(model, words, [(d.name, d.structure, d.figures.gains) for d in designs]))
+    return PageSection("controller", "Controller", blocks)
 
 
 def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
@@ -217,9 +192,8 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
     points = first.figures.points
     where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
     words = conditions_words(first.impact, first.sample_time, first.method)
-    gains = [f"{d.name}: {gains_words(d.figures.gains)}" for d in designs]
     title = f"Designs on {first.plant.name}, worst over {where}"
-    return [comparison_table(title, [design.figures for design in designs], words), Listed(gains)]
+    return [comparison_table(title, [design.figures for design in designs], words)]
 
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
@@ -257,97 +231,7 @@ def _by_point(design: AssessedDesign) -> Block:
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
 
 
-# ---- Data of the gain explorer in the page: numbers of the model, ranges, and gains at the start.
-
-PEAK_SENSITIVITY = 2.6
-"""Largest peak of S_o without a warning: the default cap of `gbid.tune`."""
-GAIN_RANGE = (-1.0, 3.0)
-CORNER_RANGE = (100.0, 2500.0)
-FREQUENCY_RANGE = (5.0, 1000.0)
-
-
-def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
-    """Return the numbers from which the page computes the loop.
-
-    Parameters
-    ----------
-    model : LPVModel
-        Model with actuators.
-    impact : HalfSine
-        Impact; the page chooses its direction.
-
-    Returns
-    -------
-    dict
-        coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]; None
-        without a moving mass), frequency [Hz] (first and last), peak_sensitivity.
-    """
-    return {
-        "name": model.name,
-        "coefficients": {key: list(values) for key, values in model.coefficients.items()},
-        "actuators": dict(model.actuators),
-        "pade_order": model.pade_order,
-        "impact": None
-        if impact.mass_kg is None
-        else {"peak": impact.peak_n, "duration": impact.duration_s, "mass": impact.mass_kg},
-        "frequency": list(FREQUENCY_RANGE),
-        "peak_sensitivity": PEAK_SENSITIVITY,
-    }
-
-
-def explorer_part(
-    model: LPVModel,
-    words: str,
-    designs: Sequence[tuple[str, Any, Mapping[str, float]]],
-    impact: HalfSine,
-) -> Templated:
-    """Return the gain explorer as a block of the page.
-
-    Parameters
-    ----------
-    model : LPVModel
-        Model with actuators. The explorer starts at its operating point nearest to the middle of the domain.
-    words : str
-        Description of the model.
-    designs : sequence of (name, structure, gains)
-        Designs. P controllers with a first-order low-pass become buttons; the explorer starts with the last of them.
-    impact : HalfSine
-        Impact of the response.
-    """
-    buttons: list[tuple[str, list[float | None]]] = [("no feedback", [0.0, 0.0, None])]
-    for name, structure, gains in designs:
-        if isinstance(structure, PStructure) and structure.order == 1:
-            corner = 1e3 * gains["lowpass_khz"] if structure.tune_corner else structure.lowpass_hz
-            buttons.append((name, [gains["kappa_x"], gains["kappa_y"], corner]))
-    pressures, speeds = ranges = model.domain.pressure_bar, model.domain.speed_rpm
-    middle = sum(pressures) / 2, sum(speeds) / 2
-
-    def far(point: tuple[float, float]) -> float:
-        parts = zip(point, middle, ranges, strict=True)
-        return sum(abs(value - centre) / (high - low or 1) for value, centre, (low, high) in parts)
-
-    start = min(model.operating_points, key=far, default=middle)
-    gain_x, gain_y, lowpass = buttons[-1][1]
-    controls = [
-        ("pressure", "Injection pressure", "bar", *pressures, 0.05, start[0]),
-        ("speed", "Speed", "rpm", *speeds, 50, start[1]),
-        ("kappa_x", "Gain κx", "m/m", *GAIN_RANGE, 0.005, gain_x),
-        ("kappa_y", "Gain κy", "m/m", *GAIN_RANGE, 0.005, gain_y),
-        ("corner", "Low-pass corner", "Hz", *CORNER_RANGE, 10, lowpass or 1000.0),
-    ]
-    keys = ("name", "label", "unit", "low", "high", "step", "value")
-    return Templated(
-        "explorer.html.j2",
-        {
-            "words": words,
-            "model": explorer_model(model, impact),
-            "controls": [dict(zip(keys, control, strict=True)) for control in controls],
-            "buttons": buttons,
-        },
-    )
-
-
-# ---- Section on the identification-for-control cycle: its rounds.
+# ---- Sections on the cycle, on impacts, and on recordings in closed loop.
 
 
 def cycle_section(results: Results) -> PageSection | None:
@@ -357,21 +241,16 @@ def cycle_section(results: Results) -> PageSection | None:
         return None
     block: Block = Words("the cycle is not complete; run `gbid cycle` or `gbid run`", "warn")
     if results.cycle:
-        block = cycle_summary(cycle_documents(results.cycle))
+        block = rounds_table(results.cycle)
     elif not section.in_run:
         block = Words("`gbid cycle` runs the rounds; `gbid run` leaves them out")
     return PageSection("cycle", "Cycle", [block])
-
-
-# ---- Section on the impacts: modes identified from hammer impacts, compared with the model and the paper.
 
 
 def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Return the section with the impact studies; None when the experiment has none."""
     if results.experiment.spec.impacts is None:
         return None
-    studies = results.studies.made
-    paths = {name: results.job.path("impacts", name) for name in studies}
     blocks: list[Block] = []
     for loops in map(results.labelled, results.loops):
         where = place_of(next(iter(loops.values())).conditions)
@@ -384,11 +263,8 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
         except UsageError as error:
             blocks.append(Words(f"{where}: {error}", "warn"))
     blocks += [Words(why, "warn") for why in results.studies.missing.values()]
-    blocks += impact_tables(impact_documents(results.experiment, studies, paths))
+    blocks += [table for study in results.studies.made.values() for table in study.tables()]
     return PageSection("impacts", "Impacts", blocks)
-
-
-# ---- Section on recordings in closed loop: what the loop costs in precision.
 
 
 def loops_section(results: Results) -> PageSection | None:
@@ -397,70 +273,4 @@ def loops_section(results: Results) -> PageSection | None:
     if not any(fit.loop is not None and fit.loop.beside for fit in fits):
         return None
     missing = [Words("the comparison is not made yet; run `gbid run`", "warn")]
-    return PageSection("loops", "Loops", loop_tables(loop_documents(made_costs(results.job))) or missing)
-
-
-# ---- Section on the surfaces over pressure and speed, with the estimates.
-
-_GROUPS = {
-    "stiffness": ("k_xx", "k_xy", "k_yx", "k_yy"),
-    "damping": ("d_xx", "d_xy", "d_yx", "d_yy"),
-    "piezo influence": ("b_xx", "b_xy", "b_yx", "b_yy"),
-    "delays": ("tau_x", "tau_y"),
-}
-_MODES: dict[Literal["frequency", "damping"], str] = {
-    "frequency": "natural frequencies",
-    "damping": "damping factors",
-}
-LACK = 0.01
-"""Probability below which the lack of fit of the surfaces is significant."""
-
-
-def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
-    """Return the section with each surface fit."""
-    title = "Surfaces over pressure and speed"
-    if results.experiment.spec.lpv is None:
-        return PageSection("surfaces", title, [Words("This experiment draws no surfaces (it has no section lpv).")])
-    if not results.surfaces:
-        text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
-        return PageSection("surfaces", title, [Words(text, "warn")])
-    blocks: list[Block] = []
-    for item, fit in results.surfaces.items():
-        path = results.job.path("lpv", item, ending=".yaml").relative_to(results.experiment.results)
-        blocks += _drawn(pictures, fit, lpv_document(item, fit, path, published=results.published))
-    return PageSection("surfaces", title, blocks)
-
-
-def _drawn(pictures: Pictures, fit: LPVFit, document: Row) -> list[Block]:
-    item, n, points = document["item"], document["recordings"], fit.estimates.points
-    blocks: list[Block] = [] if fit.success else [Words(f"{item}: {fit.status}.", "bad")]
-    lacking = [key for key, p in document["lack_of_fit"].items() if p < LACK]
-    if lacking:
-        blocks.append(Words(f"The surfaces miss the means of {', '.join(lacking)} by more than chance.", "warn"))
-    blocks.append(lpv_table(document))
-    estimates = {key: fit.estimates.values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
-    for i, (word, names) in enumerate(_GROUPS.items()):
-        data = surfaces_data(fit.model, names, points=points, estimates=estimates, n=11)
-        alt = f"{item}: {word} over injection pressure and speed as surfaces, {n} estimates on stems"
-        shown = Shown(pictures.picture(plot_surfaces(data), alt))
-        blocks.append(shown if i == 0 else Fold(f"{item}: {word}", [shown]))
-    for what, word in _MODES.items():
-        try:
-            speeds = np.unique(np.linspace(*fit.model.domain.speed_rpm, 3))
-            panels = over_pressure_data(fit.model, what, speeds_rpm=speeds)
-        except GbidError as error:  # surfaces without physical meaning at some point
-            blocks.append(Words(f"{item}: {word} cannot be drawn: {error}", "warn"))
-            continue
-        where = ", ".join(f"{speed:g}" for speed in speeds)
-        alt = f"{item}: {word} of the two modes of the open loop over pressure, at {where} rpm"
-        blocks.append(Fold(f"{item}: {word}", [Shown(pictures.picture(plot_over_pressure(panels), alt))]))
-    coefficients = [
-        (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(values, document["coefficients_std"][key], strict=True)))
-        for key, values in document["coefficients"].items()
-    ]
-    title = "Coefficients, SI per kg, per bar and rpm; in brackets the standard deviation"
-    columns = [Column("parameter"), *(Column(term, format=4) for term in TERMS)]
-    blocks.append(Fold(f"{item}: coefficients", [Table(title, columns, coefficients)]))
-    if document["left_out"]:
-        blocks.append(Listed([f"left out: {text}" for text in document["left_out"]]))
-    return blocks
+    return PageSection("loops", "Loops", list(cost_tables(made_costs(results.job))) or missing)

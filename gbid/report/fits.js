@@ -6,12 +6,7 @@ const Fits = (() => {
   let root = null;
 
   const part = (name) => root.querySelector(`#fit-${name}`);
-
-  // Curves are stored as 16-bit numbers with a factor; -32768 is a missing sample.
-  function curve({ scale, values }) {
-    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
-    return Array.from(new Int16Array(bytes.buffer), (v) => (v === -32768 ? NaN : v * scale));
-  }
+  const { curve } = Charts;
 
   function table({ columns, rows }) {
     const made = document.createElement("table");

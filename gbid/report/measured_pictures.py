@@ -152,13 +152,15 @@ class PiezoStaircase(Brief):
 
 
 @styled
-def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_piezo_hysteresis(
+    data: Sequence[PiezoStaircase | PiezoCurve], ax: Sequence[Axes] | None = None
+) -> npt.NDArray[np.object_]:
     """Draw positions at rest over the rising and falling command, and the command over time (Fig. A.28).
 
     Parameters
     ----------
-    data : sequence of PiezoStaircase
-        Staircases; each unit of the commands has its own axes.
+    data : sequence of PiezoStaircase or PiezoCurve
+        Staircases, or curves, which have one command for each plateau; each unit of the commands has its own axes.
     ax : sequence of matplotlib Axes, optional
         Axes of the hysteresis for each unit, then axes of the commands; a new figure when left out.
 
@@ -167,9 +169,10 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
     (n_units + 1,) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
     """
-    units = list(dict.fromkeys(staircase.curve.units[0] for staircase in data))
+    staircases = [*map(_staircase, data)]
+    units = list(dict.fromkeys(staircase.curve.units[0] for staircase in staircases))
     _figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
-    for k, staircase in enumerate(data):
+    for k, staircase in enumerate(staircases):
         curve = staircase.curve
         panel, (scale, unit) = axes[units.index(curve.units[0])], unit_label(curve.units[0])
         command, position, rising = scale * curve.command, 1e6 * curve.position, curve.direction >= 0
@@ -189,13 +192,15 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
 
 
 @styled
-def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_piezo_staircase(
+    data: Sequence[PiezoStaircase | PiezoCurve], ax: Sequence[Axes] | None = None
+) -> npt.NDArray[np.object_]:
     """Draw single steps from their starts, and whole staircases (Fig. A.29).
 
     Parameters
     ----------
-    data : sequence of PiezoStaircase
-        Staircases, for example open loop and PD control. Falling steps are mirrored and dashed.
+    data : sequence of PiezoStaircase or PiezoCurve
+        Staircases or curves, for example open loop and PD control. Falling steps are mirrored and dashed.
     ax : sequence of two matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
@@ -205,7 +210,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
         The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
-    for k, staircase in enumerate(data):
+    for k, staircase in enumerate(map(_staircase, data)):
         curve = staircase.curve
         color = (ink(), RED)[k] if k < 2 else series(k)["color"]
         labelled: set[bool] = set()
@@ -222,6 +227,11 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     letter(axes)
     legend_above(figure, axes, columns=4)
     return axes
+
+
+def _staircase(data: PiezoStaircase | PiezoCurve) -> PiezoStaircase:
+    """Return a staircase; that of a curve has its plateaus in place of the samples."""
+    return data if isinstance(data, PiezoStaircase) else PiezoStaircase(data, data.time, data.command, data.position)
 
 
 def piezo_data(

@@ -222,6 +222,9 @@ def plot_bode(
         column = axes[len(kinds) * i : len(kinds) * (i + 1), j]
         for k, (label, curve) in enumerate(curves.items()):
             _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
+        if curves and not any(curve.magnitude[:, i, j].any() for curve in curves.values()):
+            column[0].set_ylim(0.1, 10.0)
+            column[0].text(0.5, 0.5, "no effect", ha="center", color=GREY, transform=column[0].transAxes)
         column[0].set_ylabel("" if j else f"magnitude {_gain_unit(known, shape.output_names[i], shape.input_names)}")
         if measured is not None:
             _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
@@ -241,15 +244,15 @@ def plot_bode(
 def _draw(
     magnitude: Axes, phase: Axes, curve: Bode, i: int, j: int, level: float, label: str, style: dict[str, Any]
 ) -> None:
-    f = curve.frequency_hz
-    magnitude.loglog(f, curve.magnitude[:, i, j], label=label, **style)
+    f, size = curve.frequency_hz, curve.magnitude[:, i, j]
+    magnitude.loglog(f, np.where(size > 0, size, np.nan), label=label, **style)  # a zero has no logarithm
     phase.semilogx(f, curve.phase_deg[:, i, j], **style)
     _degrees(phase)
-    if not (curve.has_band and curve.magnitude[:, i, j].any()):  # an input that no output follows has none
+    if not (curve.has_band and size.any()):  # an input that no output follows has none
         return
     band: dict[str, Any] = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
     low, high = (side[:, i, j] for side in curve.magnitude_band(level))
-    shown = _within_decades(curve.magnitude[:, i, j])
+    shown = _within_decades(size)
     _label_last_band(magnitude, magnitude.fill_between(f, np.clip(low, *shown), np.clip(high, *shown), **band), level)
     low, high = (side[:, i, j] for side in curve.phase_band(level))
     middle = curve.phase_deg[:, i, j]

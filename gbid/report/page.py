@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -13,10 +14,12 @@ from itertools import count
 from typing import Any, ClassVar
 
 import matplotlib as mpl
+import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from gbid._version import __version__
+from gbid.core.arrays import FloatArray
 from gbid.core.names import printable
 from gbid.core.tables import Table, html_table
 from gbid.report.canvas import STYLE, Drawn, figure_of, missing_letters_as_boxes, print_figure
@@ -96,6 +99,11 @@ class Link:
     href: str
 
 
+def fit_href(fit: str, model: str) -> str:
+    """Return the address of a fit in the page."""
+    return f"#fit&{fit}%2F{model}"
+
+
 @dataclass(frozen=True)
 class Words:
     """Paragraph; the tone is "", "good", "warn" or "bad"."""
@@ -161,7 +169,7 @@ class PageSection:
 
 # ---- Rendering of a page: sections, styles and scripts in one HTML text without other files.
 
-SCRIPTS = ("charts.js", "explorer_math.js", "explorer.js", "fits.js", "page.js")
+SCRIPTS = ("charts.js", "explorer.js", "fits.js", "page.js")
 
 
 def render(title: str, name: str, sections: Sequence[PageSection], left_out: Sequence[str], key: str) -> str:
@@ -226,12 +234,23 @@ def page_part(name: str) -> str:
 
 
 def script(text: str) -> Markup:
-    """Return a script for a page, without the lines for programs outside of it."""
-    outside = ('"use strict";', "if (typeof module")
-    return Markup("\n".join(line for line in text.splitlines() if not line.startswith(outside)))
+    """Return a script for a page, which is strict as a whole."""
+    return Markup(text.replace('"use strict";\n', ""))
 
 
 def packed_json(value: Any) -> Markup:
     """Return data for a script; no text in it can end the element of the script."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
+
+
+_LARGEST = 32767
+
+
+def packed(values: FloatArray) -> dict[str, Any]:
+    """Return a curve as base64 of little-endian 16-bit integers, -32768 for NaN, and their factor to values."""
+    missing = np.isnan(values)
+    largest = float(np.abs(values[~missing]).max(initial=0.0))
+    scale = largest / _LARGEST if largest > 0 else 1.0
+    integers = np.where(missing, -_LARGEST - 1, np.round(values / scale)).astype("<i2")
+    return {"scale": scale, "values": b64encode(integers.tobytes()).decode("ascii")}

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from gbid import report
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Figure, Pictured
 from gbid.core.tables import write_csv
@@ -23,6 +22,7 @@ from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
 from gbid.identify import measured_response
 from gbid.identify.data import select
 from gbid.recording.quality import runs
+from gbid.report import impact_pictures, loop_pictures, measured_pictures, model_pictures, surface_pictures
 from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot
 from gbid.report.measured_pictures import plot_residuals, plot_response
 from gbid.report.model_pictures import plot_bode
@@ -73,9 +73,13 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:
     return drawn(value.figures()[0], ax, **options)
 
 
+_FILES = (impact_pictures, loop_pictures, measured_pictures, model_pictures, surface_pictures)
+
+
 def drawn(figure: Figure, ax: Any = None, **options: Any) -> Any:
     """Draw a figure as it describes itself."""
-    return getattr(report, figure.function)(*figure.values, ax=ax, **{**figure.options, **options})
+    function = next(vars(file)[figure.function] for file in _FILES if figure.function in vars(file))
+    return function(*figure.values, ax=ax, **{**figure.options, **options})
 
 
 def shown(value: Any, ax: Any = None, **options: Any) -> Any:

@@ -9,6 +9,7 @@ from math import nan
 from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
 from gbid import characterise, control, lpv, validate
+from gbid.control.assessment import assessed_alike, sampling_words
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
@@ -38,9 +39,8 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
-from gbid.prefilter.filtering import read_report
+from gbid.prefilter.filtering import correction_rows, read_report
 from gbid.recording import Recording
-from gbid.report.fit_tables import prefilter_rows
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
 KEPT = 0.8
 """Smallest share of its damping that a design keeps when sampled, without a warning."""
-_HOLDS: Mapping[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,16 +155,6 @@ def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDe
     return (AssessedDesign(*about, *conditions, came=True),)
 
 
-def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDesign]]:
-    """Return the designs in groups with equal plant, operating points, impact and sampling."""
-    groups: dict[tuple[object, ...], dict[str, TunedDesign]] = {}
-    for name, design in designs.items():
-        points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
-        conditions = design.plant, points, design.impact, design.sample_time, design.method
-        groups.setdefault(conditions, {})[name] = design
-    return list(groups.values())
-
-
 def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
     """Return the designs with the same assessment and objective as the first one.
 
@@ -191,22 +180,6 @@ def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigure
     """
     chosen = list(comparable_designs(designs).values())
     return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
-
-
-NO_IMPACT = "disc and stack under an impact left out: moving mass not known (machine: moving_mass_kg)"
-
-
-def conditions_words(impact: control.HalfSine, sample_time: float, method: Method) -> str:
-    """Return impact and sampling of the figures of designs as text."""
-    hit = NO_IMPACT
-    if impact.mass_kg is not None:
-        hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
-    return f"{hit}; {sampling_words(sample_time, method)} with one sample for computation"
-
-
-def sampling_words(sample_time: float, method: Method) -> str:
-    """Return the sampling of a controller as text."""
-    return f"sampled at {1e3 * sample_time:g} ms ({_HOLDS[method]})"
 
 
 # ---- Existing fits with the documents that tables show.
@@ -443,7 +416,7 @@ class Results:
     def prefiltered(self) -> list[Row]:
         """Corrections by the prefilter, for each channel."""
         made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "there"]
-        return [row for item in made for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
+        return [row for item in made for row in correction_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:

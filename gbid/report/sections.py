@@ -1,12 +1,11 @@
-"""Section on the fits: overview, worst and best fits, failures, and each fit."""
+"""Sections of the page: at a glance, data quality, fits, and those of results with tables() and figures()."""
 
 from __future__ import annotations
 
 import json
-from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Container, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from operator import attrgetter
 from statistics import fmean, median
@@ -14,44 +13,28 @@ from typing import Any
 
 import numpy as np
 
-from gbid.core.arrays import FloatArray, point_label
+from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import read_made_with
 from gbid.core.index import known
-from gbid.core.tables import Cell, Column, Entry, Row, Table, shown_unit
-from gbid.experiment.experiment import Experiment, recordings_of
-from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
+from gbid.core.tables import Cell, Column, Entry, Row, Table, Value, in_unit, shown_unit, titled, value_of
+from gbid.experiment.experiment import Experiment, fit_models, recordings_of
+from gbid.experiment.recordings import load_made
+from gbid.experiment.stages.crossval import pair_table, validate_pair
 from gbid.experiment.stages.fit import load_made_fit, response_of
 from gbid.identify.fit_tables import fit_tables
+from gbid.lpv.fit import LACK
+from gbid.prefilter.filtering import correction_table
 from gbid.recording.clock import MAX_JITTER
-from gbid.report.control_sections import LACK, held_back
-from gbid.report.control_tables import tuning_documents
-from gbid.report.fit_tables import (
-    crossval_table,
-    fit_href,
-    lpv_document,
-    nominal_document,
-    nominal_table,
-    origin_table,
-    prefilter_table,
-    static_document,
-    static_table,
-    summary_document,
-    validation_table,
-)
-from gbid.report.measured_pictures import (
-    piezo_data,
-    plot_actuator_parameters,
-    plot_fit_histogram,
-    plot_piezo_hysteresis,
-    plot_piezo_staircase,
-    plot_static_map,
-)
-from gbid.report.model_pictures import plot_bode, plot_profile
-from gbid.report.named import comparison
+from gbid.report.campaign_tables import conditions_text, origin_table
+from gbid.report.control_sections import held_back
+from gbid.report.loop_pictures import damping_map_data
+from gbid.report.model_pictures import plot_bode
 from gbid.report.page import (
     Block,
     Fold,
+    Gallery,
     Link,
     Listed,
     PageSection,
@@ -59,11 +42,14 @@ from gbid.report.page import (
     Shown,
     Templated,
     Words,
+    fit_href,
+    packed,
     packed_json,
 )
-from gbid.report.read import MadeFit, Results, Standing, place_of
+from gbid.report.pictures import drawn
+from gbid.report.read import MadeFit, Results, StageResults, Standing
 from gbid.report.views import converged_words, design_lines, mode_rows, note_rows, outcome_words
-from gbid.validate import Validation, ValidationSummary
+from gbid.validate import Validation
 
 _NAMED = 5
 Kept = dict[str, tuple[object, Any]]
@@ -77,11 +63,10 @@ def drawn_once(kept: Kept, name: str, stand: object, draw: Callable[[], Any]) ->
     return kept[name][1]
 
 
-def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection:
+def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection | None:
     """Return the section with a summary of the fits and each of them; curves of most are in the folder `beside`."""
-    title = "Fits"
     if not results.experiment.spec.fits:
-        return PageSection("fits", title, [Words("This experiment asks for no fits.")])
+        return None
     blocks: list[Block] = []
     lost = lost_fits(results)
     if lost:
@@ -101,9 +86,8 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
     ]
     blocks += [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])] if items else []
     for q in (q for q in results.fits if q.document["profiles"]):
-        verdicts = ", ".join(f"{row['parameter']} {row['verdict']}" for row in q.document["profiles"])
-        profiles = load_made_fit(results.job, q.fit, q.model).profiles
-        picture = pictures.picture(plot_profile(profiles), f"Profile likelihoods: {verdicts}")
+        figure = load_made_fit(results.job, q.fit, q.model).figures()[-1]
+        picture = pictures.picture(drawn(figure), figure.words)
         blocks.append(Fold(f"{q.fit}, {q.model}: profile likelihoods", [Shown(picture)]))
     for q in results.fits:
         for i in range(len(results.experiment.spec.fits[q.fit].responses)):
@@ -119,7 +103,7 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
         for key, document in data["fits"].items():
             groups.setdefault(key.partition("/")[0], []).append((key, document["label"]))
         blocks.append(Templated("fit.html.j2", {"groups": groups, "data": data}))
-    return PageSection("fits", title, blocks)
+    return PageSection("fits", "Fits", blocks)
 
 
 def lost_fits(results: Results) -> list[Standing]:
@@ -129,9 +113,9 @@ def lost_fits(results: Results) -> list[Standing]:
 
 def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
     """Return the data that the script of the page shows of each fit."""
-    drawn = {name: curves_of(results, name) for name in with_curves(results)}
+    curves = {name: curves_of(results, name) for name in with_curves(results)}
     tables = {q.name: drawn_once(kept, q.name, q.document, partial(_shown_tables, q.document)) for q in results.fits}
-    fits = {q.name: {**_heading(results, q), **tables[q.name], **drawn.get(q.name, {})} for q in results.fits}
+    fits = {q.name: {**_heading(results, q), **tables[q.name], **curves.get(q.name, {})} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": str(f.item), "label": f"{f.item.model}: {f.state}", "state": "bad"}
@@ -248,7 +232,6 @@ POINTS = 600
 """Largest number of points of a curve."""
 BINS = 240
 """Number of intervals of the whole recording for which the range of the error is stored."""
-_LARGEST = 32767
 
 
 def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]:
@@ -306,70 +289,78 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
     }
 
 
-def packed(values: FloatArray) -> dict[str, Any]:
-    """Return a curve as base64 of little-endian 16-bit integers, -32768 for NaN, and their factor to values."""
-    missing = np.isnan(values)
-    largest = float(np.abs(values[~missing]).max(initial=0.0))
-    scale = largest / _LARGEST if largest > 0 else 1.0
-    integers = np.where(missing, -_LARGEST - 1, np.round(values / scale)).astype("<i2")
-    return {"scale": scale, "values": b64encode(integers.tobytes()).decode("ascii")}
+# ---- Sections of results that answer tables() and figures().
 
-
-# ---- Sections on the cross-validation and the nominal actuator.
-
-_PAPERS = {"rotor_bearing": "bearing", "piezo_pair": "actuator"}
-"""Names of the fits of a structure in the list of the paper."""
-_OF_PAPER = "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
-_HISTOGRAM = 6  # smallest number of pairs for a histogram
 _LISTED = 40
+_LONG = 12  # rows of a table that folds
 
 
-def validation_section(results: Results, pictures: Pictures) -> PageSection:
+def value_blocks(name: str, value: Any, pictures: Pictures, models: Container[Value] = ()) -> list[Block]:
+    """Return figures and tables of a result as blocks; all but the first figure, and long tables, are folded.
+
+    Parameters
+    ----------
+    name : str
+        Name of the result.
+    value : any
+        The result.
+    pictures : Pictures
+        Maker of the pictures.
+    models : container of str
+        Models of the fit of this name, for links from the cells that name them.
+    """
+    blocks: list[Block] = []
+    for i, figure in enumerate(value.figures() if isinstance(value, Pictured) else ()):
+        words = f"{name}: {figure.words}"
+        try:
+            shown: Block = Shown(pictures.picture(drawn(figure), words))
+        except GbidError as error:  # surfaces without physical meaning at some point
+            shown = Words(f"{words} cannot be drawn: {error}", "warn")
+        blocks.append(Fold(words, [shown]) if i else shown)
+    tables = [linked(table, name, models) for table in titled(name, value.tables())]
+    return [*blocks, *(_folded(f"{name}: {q.title}" if k else q.title, q) for k, q in enumerate(tables))]
+
+
+def linked(table: Table, fit: str, models: Container[Value]) -> Table:
+    """Return a table in which the first cell of a row that names a model of a fit leads to this fit."""
+    rows = [list(row) for row in table.rows]
+    for row in rows:
+        at = next((i for i, entry in enumerate(row) if value_of(entry) in models), None)
+        if at is not None:
+            entry = row[at]
+            row[at] = Cell(value_of(entry), getattr(entry, "text", ""), fit_href(fit, str(value_of(entry))))
+    return replace(table, rows=rows)
+
+
+def stage_section(id: str, title: str, results: StageResults[Any], pictures: Pictures) -> PageSection:
+    """Return the section of a stage: each of its results, and why others are missing."""
+    blocks: list[Block] = [Words(why, "warn") for why in results.missing.values()]
+    for name, value in results.made.items():
+        blocks += value_blocks(name, value, pictures)
+    return PageSection(id, title, blocks)
+
+
+def validation_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Return the section with the fit of models on recordings to which they were not fitted."""
     planned = results.experiment.spec.crossval
     if not planned:
-        return PageSection("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
+        return None
     blocks: list[Block] = []
     for name in planned:
         if name not in results.crossval:
             blocks.append(Words(f"{name}: not validated with the present fits; `gbid crossval` does it.", "warn"))
             continue
         rows, summary = results.crossval[name]
-        blocks += _validated(results, pictures, name, rows, summary)
+        models = fit_models(results.experiment, name)
+        blocks += value_blocks(name, summary, pictures, models)
+        missed = [row for row in rows if row.missed]
+        if missed:
+            text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
+            blocks.append(Words(text, "bad"))
+        worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
+        shown = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
+        blocks.append(Fold(f"{name}: {shown}", [linked(pair_table(worst), name, models)]))
     return PageSection("validation", "Cross-validation", blocks)
-
-
-def _validated(
-    results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
-) -> list[Block]:
-    published = _paper(results.experiment.spec.fits[name].structure, summary) if results.published else {}
-    document = summary_document(name, summary, results.job.path("crossval", name))
-    blocks: list[Block] = [validation_table(document, published)]
-    if published:
-        blocks.append(Words(_OF_PAPER))
-    if summary.n_pairs >= _HISTOGRAM:
-        means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
-        alt = f"{name}: histograms of the cross-validation fit, means {means}"
-        blocks.append(Shown(pictures.picture(plot_fit_histogram(summary), alt)))
-    missed = [row for row in rows if row.missed]
-    if missed:
-        text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
-        blocks.append(Words(text, "bad"))
-    worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
-    shown = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
-    pairs = [{**asdict(row), "missed": row.missed} for row in worst]
-    blocks.append(Fold(f"{name}: {shown}", [crossval_table(name, pairs)]))
-    return blocks
-
-
-def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
-    """Return the fit percent in the paper for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
-    word = _PAPERS.get(structure)
-    known = {number.id: number.value for number in comparison().paper_numbers()} if word else {}
-    ids = {output: [f"{word}_{what}_{output[-1]}" for what in ("mean", "std")] for output in summary.output_names}
-    if not all(key in known for keys in ids.values() for key in keys):
-        return {}
-    return {output: f"{known[mean]:g} ± {known[std]:g}" for output, (mean, std) in ids.items()}
 
 
 def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
@@ -377,18 +368,28 @@ def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
     section = results.experiment.spec.nominal
     if section is None:
         return None
-    title = "Nominal actuator"
     try:
-        nominal = results.nominal
+        models = fit_models(results.experiment, section.fit)
+        blocks = value_blocks(section.fit, results.nominal, pictures, models)
     except GbidError as error:
-        return PageSection("actuator", title, [Words(f"There is none: {error}", "warn")])
-    alt = (
-        f"Gains and poles of {len(nominal.models)} actuator models; the nominal one is {nominal.name}, "
-        f"{len(nominal.outliers)} values lie off"
-    )
-    table = nominal_table(nominal_document(section.fit, nominal, results.job.path("nominal", section.fit)))
-    blocks: list[Block] = [table, Shown(pictures.picture(plot_actuator_parameters(nominal), alt))]
-    return PageSection("actuator", title, blocks)
+        blocks = [Words(f"There is none: {error}", "warn")]
+    return PageSection("actuator", "Nominal actuator", blocks)
+
+
+def static_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with the static characterisations; None when the experiment has none."""
+    if not results.experiment.spec.static:
+        return None
+    return stage_section("static", "Static characterisation", results.statics, pictures)
+
+
+def surfaces_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with each surface fit; None when the experiment has none."""
+    if results.experiment.spec.lpv is None:
+        return None
+    text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
+    surfaces = StageResults(results.surfaces, {} if results.surfaces else {"lpv": text})
+    return stage_section("surfaces", "Surfaces over pressure and speed", surfaces, pictures)
 
 
 # ---- Section on the data: excitation, problems of signals, corrections of the prefilter.
@@ -405,18 +406,14 @@ def point_words(experiment: Experiment, recording: str) -> str:
     known = planned.conditions
     if "pressure_bar" in known and "speed_rpm" in known:
         return point_label(known["pressure_bar"], known["speed_rpm"])
-    return ", ".join(f"{key} {value:g}" for key, value in known.items()) or "not stated"
+    return conditions_text(known) or "not stated"
 
 
-def in_units(value: float, unit: str) -> str:
-    """Return a value as text with three digits, in the unit of tables."""
-    factor, shown = shown_unit(unit)
-    return f"{factor * value:.3g} {shown}".rstrip()
-
-
-def quality_section(results: Results) -> PageSection:
+def quality_section(results: Results) -> PageSection | None:
     """Return the section with the recordings, their problems, and the corrections by the prefilter."""
     recordings = results.recordings
+    if not any(planned.excited for planned in results.experiment.recordings.values()):
+        return None
     if not recordings:
         return PageSection("data", "Data quality", [Words("There is no excited recording yet.")])
     blocks: list[Block] = []
@@ -434,7 +431,7 @@ def quality_section(results: Results) -> PageSection:
             blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
         rows.append([q.name, point_words(results.experiment, q.name), f"{q.duration:g} s, {q.n_samples}"])
         for signal in signals:
-            sizes = [(channel, in_units(rms, q.units[signal])) for channel, rms, _ in q.signals.get(signal, ())]
+            sizes = [(channel, in_unit(rms, q.units[signal])) for channel, rms, _ in q.signals.get(signal, ())]
             if len(units[signal]) == 1:  # the heading has it
                 sizes = [(channel, size.partition(" ")[0]) for channel, size in sizes]
             rows[-1].append(", ".join(map(" ".join, sizes)) or None)
@@ -455,7 +452,7 @@ def quality_section(results: Results) -> PageSection:
 
 def _folded(title: str, table: Table) -> Block:
     """Return a table, folded when it is long."""
-    return Fold(title, [table]) if len(table.rows) > 12 else table
+    return Fold(title, [table]) if len(table.rows) > _LONG else table
 
 
 def _prefilter(results: Results) -> list[Block]:
@@ -480,49 +477,12 @@ def _prefilter(results: Results) -> list[Block]:
     every = len({row["recording"] for row in rows})
     if carried:
         blocks.append(Listed([f"{len(names)} of {every} recordings: {note}" for note, names in carried.items()]))
-    return [*blocks, _folded(f"Prefilter, {len(rows)} channels", prefilter_table(rows))]
-
-
-# ---- Section on the static characterisation: map from piezos to disc, and hysteresis of the stacks.
-
-
-def static_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the static characterisations and their pictures; None when the experiment has none."""
-    kinds = [section.kind for section in results.experiment.spec.static.values()]
-    if not kinds:
-        return None
-    blocks: list[Block] = []
-    for kind, draw in (("bearing", _map_picture), ("piezo", _piezo_pictures)):
-        if kind in kinds:
-            try:
-                blocks += draw(results, pictures)
-            except (DataError, UsageError) as error:
-                blocks.append(Words(str(error), "warn"))
-    blocks += [static_table(static_document(name, result)) for name, result in results.statics.made.items()]
-    return PageSection("static", "Static characterisation", blocks)
-
-
-def _map_picture(results: Results, pictures: Pictures) -> list[Block]:
-    place = place_of(results.static_map.conditions)
-    alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
-    return [Shown(pictures.picture(plot_static_map(results.static_map), alt))]
-
-
-def _piezo_pictures(results: Results, pictures: Pictures) -> list[Block]:
-    data = [piezo_data(*parts) for parts in results.piezos]
-    shown = ", ".join(
-        f"{1e6 * curve.hysteresis:.2f} µm {'in open loop' if curve.units[0] == 'V' else 'with its controller'}"
-        for curve, *_ in results.piezos
-    )
-    over_time = pictures.picture(plot_piezo_staircase(data), "Staircase of the piezo over time")
-    return [
-        Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {shown}")),
-        Fold("Staircases over time", [Shown(over_time)]),
-    ]
+    return [*blocks, _folded(f"Prefilter, {len(rows)} channels", correction_table(rows))]
 
 
 # ---- Summary at the top of the page: warnings, numbers of results, and parts that were not done.
 
+_LEAD_S = 0.3  # of a response at the top of the page
 _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltered", "fit": "fits"}
 
 
@@ -567,7 +527,7 @@ def warnings(results: Results) -> list[Link]:
         add_if(not fit.success, f"surfaces {item}: {fit.status}", "#surfaces")
         far = len(fit.outliers)
         add_if(far, f"surfaces {item}: {far} estimate{'s' * (far != 1)} far off their surface", "#surfaces")
-    for design in results.assessed:
+    for design in results.assessed if results.experiment.spec.controller else ():
         links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
     links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
     for name, made in results.designs.made.items():
@@ -582,8 +542,39 @@ def _fits(n: int) -> str:
     return "fit" if n == 1 else "fits"
 
 
-def summary_section(results: Results, links: list[Link]) -> PageSection:
-    """Return the section with warnings first, then the numbers of results."""
+def lead_figure(results: Results) -> Figure | None:
+    """Return the figure at the top of the page: of a design, else surfaces, else the best fit, else a recording."""
+    if results.assessed and results.experiment.spec.controller:
+        design = results.assessed[0]
+        words = f"Smallest damping factor of {design.name} over pressure and speed"
+        return Figure("plot_damping_map", words, (damping_map_data(design.plant, design.at, n=11, title=design.name),))
+    for item, fit in results.surfaces.items():
+        return fit.figures()[0]._replace(words=f"{item}: {fit.figures()[0].words}")
+    first = next((q.fit for q in results.fits), "")
+    best = max((q for q in results.fits if q.fit == first), key=attrgetter("smallest"), default=None)
+    if best is not None and recordings_of(results.experiment, first, best.model):
+        recording = best.document["recordings"][0]
+        validation = validate_pair(results.job, first, best.model, recording)
+        words = f"Model of {best.name}, measured and simulated on {recording}: fit {best.smallest:.1f} %"
+        shown, end = results.experiment.spec.figures.get(first), float(validation.time[-1])
+        part = {"from_s": shown.from_s, "to_s": shown.to_s} if shown else {"from_s": end / 3, "to_s": end / 3 + _LEAD_S}
+        return Figure("plot_response", words, (validation,), part)
+    for signals in results.recordings:
+        return load_made(results.job, results.experiment.recordings[signals.name]).figures()[0]
+    return None
+
+
+def _lead(results: Results, pictures: Pictures) -> list[Block]:
+    """Return the leading figure as a block; none where the results do not allow it, which their section explains."""
+    try:
+        figure = lead_figure(results)
+        return [Shown(pictures.picture(drawn(figure), figure.words))] if figure else []
+    except (GbidError, OSError):
+        return []
+
+
+def summary_section(results: Results, links: list[Link], pictures: Pictures) -> PageSection:
+    """Return the section with the leading figure beside warnings and key figures, then the numbers of results."""
     blocks: list[Block] = []
     if links:
         blocks += [Words(f"{len(links)} {'thing' if len(links) == 1 else 'things'} to look at:", "warn"), Listed(links)]
@@ -591,19 +582,14 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
         blocks.append(Words("Nothing to warn of.", "good"))
     document = {
         "fits": [{"fit": q.fit, "model": q.model, **q.document} for q in results.fits],
-        "crossval_summary": [
-            summary_document(name, made, results.job.path("crossval", name))
-            for name, (_, made) in results.crossval.items()
-        ],
-        "lpv": [
-            lpv_document(name, fit, results.job.path("lpv", name), published=False)
-            for name, fit in results.surfaces.items()
-        ],
-        "tuning": tuning_documents((), results.designs.made),
+        "crossval_summary": [{"fit": name, **asdict(made)} for name, (_, made) in results.crossval.items()],
+        "lpv": [{"item": name, **fit.document()} for name, fit in results.surfaces.items()],
+        "tuning": [{"design": name, **design.document()} for name, design in results.designs.made.items()],
     }
     lines = [begin + ", ".join(words) for begin, words in outcome_words(document) if words]
     lines += [line for design in document["tuning"] for line in design_lines(design)]
     blocks.append(Listed([converged_words(document["fits"]), *lines] if results.fits else lines))
+    blocks = [Gallery([*_lead(results, pictures), Gallery(blocks)])]
     if modes := mode_rows(document["fits"]):
         ranges = any(span for *_, span in modes)
         heads = ("fit", "frequency [Hz]", "damping", *(["range of the frequency [Hz]"] if ranges else []))

@@ -136,21 +136,26 @@ def over_pressure_data(
 
 
 @styled
-def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_over_pressure(
+    data: Sequence[PressurePanel] | LPVFit, ax: Sequence[Axes] | None = None, *, what: Quantity = "frequency"
+) -> npt.NDArray[np.object_]:
     """Draw a curve of the model for each speed, with the estimates as marks of the same colour.
 
     Parameters
     ----------
-    data : sequence of PressurePanel
-        Panels of `over_pressure_data`.
+    data : sequence of PressurePanel, or LPVFit
+        Panels of `over_pressure_data`, or a fit, which is drawn with its estimates.
     ax : sequence of matplotlib Axes, optional
         Axes for each panel; a new figure when left out.
+    what : {"delay", "frequency", "damping", "gain"}
+        Quantity of a fit.
 
     Returns
     -------
     (n_panels,) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
     """
+    data = fit_over_pressure_data(data, what) if isinstance(data, LPVFit) else data
     rows = -(-len(data) // 2)
     figure, axes = panels(ax, rows, min(2, len(data)), size=(TWO_COLUMNS, 0.5 + 2.15 * rows), sharex=True)
     for i, (panel, quantity) in enumerate(zip(axes, data, strict=False)):
@@ -296,7 +301,9 @@ def surfaces_data(
 
 
 @styled
-def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+def plot_surfaces(
+    data: Sequence[Surface] | LPVFit, ax: Sequence[Axes] | None = None, *, letter: Literal["k", "d", "b"] = "k"
+) -> npt.NDArray[np.object_]:
     """Draw a surface for each parameter, with the estimates on stems.
 
     Marks of the estimates are filled above the surface and open below it. Where the model has one speed or one
@@ -304,10 +311,12 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
 
     Parameters
     ----------
-    data : sequence of Surface
-        Surfaces of `surfaces_data`.
+    data : sequence of Surface, or LPVFit
+        Surfaces of `surfaces_data`, or a fit, which is drawn with its estimates.
     ax : sequence of three-dimensional Axes, optional
         Axes for each surface; a new figure when left out.
+    letter : {"k", "d", "b"}
+        Parameters of a fit: stiffness, damping or input gain.
 
     Returns
     -------
@@ -319,6 +328,7 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
     UsageError
         When the axes are two-dimensional, or when there are too few.
     """
+    data = fit_surfaces_data(data, letter) if isinstance(data, LPVFit) else data
     columns = max(1, min(2, len(data)))
     rows = -(-len(data) // columns)
     size = (TWO_COLUMNS, 2.9 * rows)

@@ -1,55 +1,34 @@
-"""View of each stage: the JSON document of its outcomes, and the tables of this document for a terminal."""
+"""View of each stage: JSON document and tables of its results for verbs, and the summary of a run."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from math import floor, isfinite, log10
+from pathlib import Path
 from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gbid import control, identify, lpv, validate
+from gbid.control.assessment import assessment_tables, design_tables, gains_words
 from gbid.core.hdf5 import load
-from gbid.core.tables import Row, Table, titled
+from gbid.core.tables import Column, Row, Table, titled
 from gbid.experiment.controllers import load_design
+from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
-from gbid.experiment.stages.crossval import crossval_rows, nominal_of
-from gbid.experiment.stages.cycle import made_rows
-from gbid.experiment.stages.loop import made_costs
+from gbid.experiment.stages.crossval import crossval_rows, nominal_of, pair_table, read_crossval
+from gbid.experiment.stages.cycle import made_rows, rounds_table
+from gbid.experiment.stages.loop import cost_tables, made_costs
 from gbid.experiment.stages.prefilter import MAP
 from gbid.experiment.stages.static import load_made_static
 from gbid.identify.fit_tables import fit_tables
 from gbid.prefilter import PrefilterFile
-from gbid.report.control_tables import (
-    cycle_documents,
-    cycle_summary,
-    gains_words,
-    impact_documents,
-    impact_tables,
-    loop_documents,
-    loop_tables,
-    tuning_documents,
-    tuning_tables,
-)
-from gbid.report.fit_tables import (
-    crossval_table,
-    lpv_document,
-    lpv_table,
-    nominal_document,
-    nominal_table,
-    prefilter_rows,
-    prefilter_table,
-    recording_documents,
-    recording_table,
-    static_document,
-    static_table,
-    summary_document,
-    validation_table,
-)
-from gbid.report.read import PUBLISHED, read_fit
+from gbid.recording import load_recording
+from gbid.report.campaign_tables import conditions_text
+from gbid.report.read import read_fit
 
 if TYPE_CHECKING:
     from gbid.control.assessment import TunedDesign
@@ -66,17 +45,41 @@ def view_of(stage: Stage) -> View:
     return stage.view or VIEWS.get(stage.name) or outcomes_view(stage.name, stage.section)
 
 
-def _made(outcomes: Sequence[Outcome], stage: str) -> list[Outcome]:
-    return [outcome for outcome in outcomes if outcome.item.stage == stage and outcome.state != "failed"]
+def _made(outcomes: Sequence[Outcome], *stages: str) -> list[Outcome]:
+    return [outcome for outcome in outcomes if outcome.item.stage in stages and outcome.state != "failed"]
 
 
-def _with_file(outcome: Outcome, document: Row) -> Row:
-    return {**document, "state": outcome.state, "path": str(outcome.path)}
+def results_view(key: str, values: Callable[[Job, Sequence[Outcome]], Iterable[tuple[Row, Any]]]) -> View:
+    """Return the view of results that answer `document` and `tables`.
+
+    Parameters
+    ----------
+    key : str
+        Key in the JSON document.
+    values : callable
+        Function that returns for each result what the document adds, first its name, and the result.
+    """
+    return View(
+        lambda job, outcomes: {key: [{**about, **value.document()} for about, value in values(job, outcomes)]},
+        lambda job, outcomes: (
+            table
+            for about, value in values(job, outcomes)
+            for table in titled(next(iter(about.values())), value.tables())
+        ),
+    )
 
 
-def _prefilter(_: Job, outcomes: Sequence[Outcome]) -> Document:
-    maps = [o.path for o in _made(outcomes, "prefilter") if o.item.form == MAP]
-    return {"prefilter": [row for path in maps for row in prefilter_rows(load(path, PrefilterFile).reports)]}
+def _static(job: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, Any]]:
+    for outcome in _made(outcomes, "static"):
+        if outcome.path.suffix == ".h5":
+            place = {"name": outcome.item.section, "state": outcome.state, "path": str(outcome.path)}
+            yield place, load_made_static(job, outcome.item.section)
+
+
+def _surfaces(_: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, lpv.LPVFit]]:
+    for outcome in _made(outcomes, "lpv"):
+        if outcome.path.suffix == ".yaml":
+            yield {"item": outcome.item.section, "path": str(outcome.path)}, lpv.load_lpv_fit(outcome.path)
 
 
 def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
@@ -84,92 +87,160 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
     documents = []
     for outcome in _made(outcomes, "fit"):
         fit, model = outcome.item.section, outcome.item.model
-        place = _with_file(outcome, {"fit": fit, "model": model})
+        place = {"fit": fit, "model": model, "state": outcome.state, "path": str(outcome.path)}
         documents.append({**place, **read_fit(job, fit, model).document})
     return documents
 
 
-def _fit_tables(document: Document) -> list[Table]:
-    return [table for fit in document["fits"] for table in titled(f"{fit['fit']}, {fit['model']}", fit_tables(fit))]
+def _fit_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    for fit in fit_documents(job, outcomes):
+        yield from titled(f"{fit['fit']}, {fit['model']}", fit_tables(fit))
 
 
-def _static(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    files = {o.item.section: o for o in _made(outcomes, "static") if o.path.suffix == ".h5"}
-    return {"static": [_with_file(o, static_document(name, load_made_static(job, name))) for name, o in files.items()]}
+def _recordings(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return documents of recordings that were made or imported; failed ones are left out."""
+    made = [(outcome, load_recording(outcome.path)) for outcome in _made(outcomes, "rig", "import")]
+    return [
+        {
+            "name": recording.name,
+            "kind": job.experiment.recordings[recording.name].kind,
+            "samples": recording.n_samples,
+            "sample_time_s": recording.sample_time,
+            "duration_s": recording.duration,
+            "conditions": dict(recording.conditions),
+            "signals": {name: list(recording.channels[name]) for name in recording.signals},
+            "state": outcome.state,
+            "path": str(outcome.path),
+        }
+        for outcome, recording in made
+    ]
+
+
+def _recording_table(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    columns = [Column("recording"), Column("samples", format="d"), Column("duration", "s", "g")]
+    rows = [
+        [row["name"], row["samples"], row["duration_s"], conditions_text(row["conditions"]), row["state"]]
+        for row in _recordings(job, outcomes)
+    ]
+    if rows:
+        yield Table("recordings", [*columns, Column("conditions"), Column("state")], rows)
+
+
+def _corrections(_: Job, outcomes: Sequence[Outcome]) -> PrefilterFile:
+    maps = [load(o.path, PrefilterFile) for o in _made(outcomes, "prefilter") if o.item.form == MAP]
+    return PrefilterFile(None, tuple(report for each in maps for report in each.reports))
 
 
 def _validation(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    made = _made(outcomes, "crossval")
-    rows = [{**asdict(row), "missed": row.missed} for row in crossval_rows(job)] if made else []
-    files = {o.item.section: o.path for o in made if o.path.suffix == ".h5"}
-    summaries = [summary_document(name, load(q, validate.ValidationSummary), q) for name, q in files.items()]
+    rows = [{**asdict(row), "missed": row.missed} for row in crossval_rows(job)] if _made(outcomes, "crossval") else []
+    summaries = [{"fit": q, **asdict(summary), "path": str(path)} for q, path, summary in _summaries(outcomes)]
     return {"crossval": rows, "crossval_summary": summaries}
 
 
-def _validation_tables(document: Document) -> Iterable[Table]:
-    """Pairs of each fit, unless they are many, and their summary."""
-    for summary in document["crossval_summary"]:
-        rows = [row for row in document["crossval"] if row["fit"] == summary["fit"]]
-        if len(rows) <= _ROWS:
-            yield crossval_table(summary["fit"], rows)
-        yield validation_table(summary)
+def _summaries(outcomes: Sequence[Outcome]) -> list[tuple[str, Path, validate.ValidationSummary]]:
+    made = [o for o in _made(outcomes, "crossval") if o.path.suffix == ".h5"]
+    return [(o.item.section, o.path, load(o.path, validate.ValidationSummary)) for o in made]
+
+
+def _validation_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    """Yield the pairs of each fit, unless they are many, and their summary."""
+    for name, _, summary in _summaries(outcomes):
+        rows = read_crossval(job, name)
+        yield from titled(name, [*([pair_table(rows)] if len(rows) <= _ROWS else []), *summary.tables()])
 
 
 def _nominal(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    documents = (nominal_document(o.item.section, nominal_of(job)[0], o.path) for o in _made(outcomes, "nominal"))
-    return {"nominal": next(documents, None)}
+    made = [
+        {"fit": o.item.section, **nominal_of(job)[0].document(), "path": str(o.path)}
+        for o in _made(outcomes, "nominal")
+    ]
+    return {"nominal": made[0] if made else None}
 
 
-def _surfaces(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    """Return documents of the surfaces, with the paper's figures for the paper's machine."""
-    rig, paths = (
-        job.experiment.spec.rig,
-        {o.item.section: o.path for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"},
-    )
-    published = rig is not None and rig.model == PUBLISHED
-    documents = (lpv_document(q, lpv.load_lpv_fit(path), path, published=published) for q, path in paths.items())
-    return {"lpv": list(documents)}
-
-
-def _impacts(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    paths = {o.item.section: o.path for o in outcomes if o.item.stage == "ringdown"}
-    studies = {o.item.section: load(o.path, control.ImpactStudy) for o in _made(outcomes, "ringdown")}
-    return {"impacts": impact_documents(job.experiment, studies, paths)}
+def _nominal_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    for outcome in _made(outcomes, "nominal")[:1]:
+        yield from titled(outcome.item.section, nominal_of(job)[0].tables())
 
 
 def _designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
     return {o.item.section: load_design(o.path) for o in _made(outcomes, "tune")}
 
 
-def _entry(key: str, table: Callable[[Any], Table]) -> Callable[[Document], list[Table]]:
-    """Give the table of an entry, none when it is empty."""
-    return lambda document: [table(document[key])] if document[key] else []
+def _tuning(_: Job, outcomes: Sequence[Outcome]) -> Document:
+    paths = {(o.item.stage, o.item.section): str(o.path) for o in _made(outcomes, "tune", "controller")}
+    designs = _designs(outcomes).items()
+    files = {
+        name: {"path": paths.get(("tune", name)), "controller": paths.get(("controller", name))} for name, _ in designs
+    }
+    return {"tuning": [{"design": name, **files[name], **design.document()} for name, design in designs]}
 
 
-_RECORDINGS = View(
-    lambda job, outcomes: {"recordings": recording_documents(job.experiment, outcomes)},
-    _entry("recordings", recording_table),
-)
+def _tuning_tables(_: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    """Yield tables that compare designs at the same points of the same plant, and what the tuning found."""
+    designs = _designs(outcomes)
+    yield from [*assessment_tables(designs), *design_tables(designs)]
+    made = [o for o in _made(outcomes, "controller") if o.item.section in designs]
+    files = [f"{o.item.section}: controller in {o.path}" for o in made]
+    yield from [Table("", (), (), files)] if files else []
+
+
+def _published(job: Job, study: control.ImpactStudy) -> Row:
+    """Return the modes in the paper for the point and loop of a study with the paper's controller."""
+    section, rig = job.experiment.spec.impacts, job.experiment.spec.rig
+    if section is None or rig is None or (study.loop != "open" and section.controller != "paper"):
+        return {}
+    place = {**study.conditions, "loop": study.loop}
+    known = [q for q in rig_machine(job.experiment).reference_modes if place == {key: getattr(q, key) for key in place}]
+    return {q.kind: [list(mode) for mode in q.modes] for q in known if q.kind in ("expected", "measured")}
+
+
+def _studies(job: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, control.ImpactStudy]]:
+    for outcome in _made(outcomes, "ringdown"):
+        study = load(outcome.path, control.ImpactStudy)
+        yield {"name": outcome.item.section, "path": str(outcome.path), "published": _published(job, study)}, study
+
+
+def _model_files(_: Job, outcomes: Sequence[Outcome]) -> list[Table]:
+    files = [f"model: {outcome.path}" for outcome in _made(outcomes, "lpv") if outcome.path.suffix == ".yaml"]
+    return [Table("", (), (), files)] if files else []
+
+
+def _study_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
+    """Yield the tables of each study, and the modes in the paper where they are known."""
+    columns = [Column("in the paper"), *(Column(f"ω{i}", "Hz", ".1f") for i in (1, 2))]
+    columns += [Column(f"ζ{i}", format=".3f") for i in (1, 2)]
+    for about, study in _studies(job, outcomes):
+        yield from study.tables()
+        rows = [[kind, *(q[0] for q in modes), *(q[1] for q in modes)] for kind, modes in about["published"].items()]
+        yield from [Table("", columns, rows)] if rows else []
+
+
+_SURFACES = results_view("lpv", _surfaces)
+_RECORDINGS = View(lambda *made: {"recordings": _recordings(*made)}, _recording_table)
 
 VIEWS: Mapping[str, View] = {
     "rig": _RECORDINGS,
     "import": _RECORDINGS,
-    "prefilter": View(_prefilter, _entry("prefilter", prefilter_table)),
-    "fit": View(lambda job, outcomes: {"fits": fit_documents(job, outcomes)}, _fit_tables),
-    "loop": View(lambda *_: {}, lambda _: []),  # its designs are shown with the others
+    "prefilter": View(
+        lambda *made: _corrections(*made).document(),
+        lambda *made: [table for table in _corrections(*made).tables() if table.rows],
+    ),
+    "fit": View(lambda *made: {"fits": fit_documents(*made)}, _fit_tables),
+    "loop": View(lambda *_: {}, lambda *_: []),  # its designs are shown with the others
     "loop cost": View(
-        lambda job, _: {"loops": loop_documents(made_costs(job))}, lambda document: loop_tables(document["loops"])
+        lambda job, _: {"loops": [row.document() for row in made_costs(job)]},
+        lambda job, _: cost_tables(made_costs(job)),
     ),
-    "static": View(_static, lambda document: map(static_table, document["static"])),
+    "static": results_view("static", _static),
     "crossval": View(_validation, _validation_tables),
-    "nominal": View(_nominal, _entry("nominal", nominal_table)),
-    "lpv": View(_surfaces, lambda document: map(lpv_table, document["lpv"])),
-    "tune": View(
-        lambda _, outcomes: {"tuning": tuning_documents(outcomes, _designs(outcomes))},
-        lambda document: tuning_tables(document["tuning"]),
+    "nominal": View(_nominal, _nominal_tables),
+    "lpv": View(_SURFACES.document, lambda *made: [*_SURFACES.tables(*made), *_model_files(*made)]),
+    "tune": View(_tuning, _tuning_tables),
+    "impact": View(results_view("impacts", _studies).document, _study_tables),
+    "cycle": View(
+        lambda job, _: {"cycle": [asdict(row) for row in made_rows(job)]},
+        lambda job, _: [rounds_table(rows)] if (rows := made_rows(job)) else [],
     ),
-    "impact": View(_impacts, lambda document: impact_tables(document["impacts"])),
-    "cycle": View(lambda job, _: {"cycle": cycle_documents(made_rows(job))}, _entry("cycle", cycle_summary)),
 }
 """By the name of the stage."""
 

@@ -16,7 +16,6 @@ from gbid.report.control_sections import (
     cycle_section,
     impacts_section,
     loops_section,
-    surfaces_section,
 )
 from gbid.report.named import named_figures
 from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, Words, render
@@ -33,6 +32,7 @@ from gbid.report.sections import (
     quality_section,
     static_section,
     summary_section,
+    surfaces_section,
     validation_section,
     warnings,
     with_curves,
@@ -128,7 +128,7 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
     static, surfaces, controller, impacts = _late_sections(results, kept)
     named = partial(_with_named, results=results, pictures=pictures)
     middle: list[PageSection | None] = [
-        named(summary_section(results, warnings(results))),
+        named(summary_section(results, warnings(results), pictures)),
         named(quality_section(results)),
         static,
         named(fits_section(results, pictures, beside, kept)),

@@ -6,7 +6,7 @@ import math
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,13 @@ import scipy
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import ChangedFileWarning, DataError, UsageError
+from gbid.core.figures import Figure, Pictured
 from gbid.core.files import atomic_path
 from gbid.core.names import given_path
-from gbid.core.tables import Table, Value, finite_or_none, plain_table
+from gbid.core.tables import Column, Entry, Row, Table, Value, finite_or_none, plain_table
 from gbid.core.yaml_file import read_yaml, write_yaml
 from gbid.identify import FitResult, FitTable, TableEntry, tabulate
+from gbid.structure import PiezoPair
 from gbid.validate.crossval import PointSummary, ValidationSummary
 
 ACTUATOR = tuple(f"{name}_{axis}" for axis in "xy" for name in ("p1", "p2", "kappa"))
@@ -67,7 +69,7 @@ class ActuatorOutlier:
 
 
 @dataclass(frozen=True, eq=False)
-class NominalActuator(Brief):
+class NominalActuator(Brief, Pictured):
     """Most central of n actuator models with six parameters.
 
     Attributes
@@ -116,6 +118,43 @@ class NominalActuator(Brief):
             outliers=f"{len(self.outliers)} beyond {self.limit:g} robust standard deviations",
             left_out=self.left_out,
         )
+
+    def document(self) -> Row:
+        """Return the nominal actuator as plain values, with outliers and their reasons, for JSON."""
+        return {
+            "model": self.name,
+            "parameters": self.parameters,
+            "std": self.std,
+            "chosen_from": len(self.models),
+            "distance": float(self.distances.min()),
+            "outliers": [{**asdict(outlier), "reason": outlier.reason} for outlier in self.outliers],
+            "left_out": list(self.left_out),
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the tables of poles and gains, and of the outliers where there are any."""
+        units = {p.name: p.unit for pair in (PiezoPair(), PiezoPair(poles="any")) for p in pair.parameters}
+        first: tuple[Entry, ...] = (self.name, f"of {len(self.models)} models")
+        rows: list[list[Entry]] = [
+            [first[i] if i < 2 else "", name, value, self.std[name], units.get(name, "")]
+            for i, (name, value) in enumerate(self.parameters.items())
+        ]
+        columns = [
+            Column("most central model"),
+            Column("parameter"),
+            Column("value", format=5),
+            Column("std", format=2),
+        ]
+        off: list[list[Entry]] = [[q.model, q.reason] for q in self.outliers]
+        off += [["left out", text] for text in self.left_out]
+        outliers = Table("outliers", [Column("model"), Column("why", wrap=True)], off)
+        chosen = Table("nominal actuator", [*columns, Column("unit")], rows)
+        return [chosen, outliers] if off else [chosen]
+
+    def figures(self) -> list[Figure]:
+        """Return gains and poles of all models."""
+        words = f"Gains and poles of {len(self.models)} actuator models; the nominal one is {self.name}"
+        return [Figure("plot_actuator_parameters", f"{words}, {len(self.outliers)} values lie off", (self,))]
 
 
 def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = None) -> NominalActuator:

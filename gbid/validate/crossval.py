@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import log
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from gbid.core import hdf5
-from gbid.core.arrays import FloatArray, IntArray
+from gbid.core.arrays import FloatArray, IntArray, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError
 from gbid.core.extras import data_frame
-from gbid.core.figures import Pictured
+from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import Stored
 from gbid.core.option_types import Count, CountOrZero
+from gbid.core.tables import Cell, Column, Entry, Row, Table, formatted
 from gbid.identify import FitResult
 from gbid.identify.data import select
 from gbid.recording import Recording
 from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_clock_of, simulator, validation_data
+
+_SHOWN_POINTS = 30  # largest number of operating points that have their own rows
+_FEWEST_DRAWN = 6  # smallest number of pairs for a histogram
 
 # ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
 
@@ -143,7 +147,7 @@ class PointSummary(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class ValidationSummary(Brief, hdf5.InFile):
+class ValidationSummary(Brief, Pictured, hdf5.InFile):
     """Summary of a cross-validation with q outputs and b histogram bins.
 
     Attributes
@@ -201,6 +205,38 @@ class ValidationSummary(Brief, hdf5.InFile):
         }
         about = f"{self.n_pairs} pairs, {self.n_models} models on {self.n_recordings} recordings"
         return brief(self, about, **outputs, failed=self.failed)
+
+    def document(self) -> Row:
+        """Return the summary as plain values, with histograms, for JSON."""
+        return asdict(self)
+
+    def tables(self) -> list[Table]:
+        """Return the table of the fit percent of each output, over all pairs and by operating point."""
+        columns = [
+            *(Column(""), Column("output"), Column("pairs", format="d")),
+            *(Column("fit\n", "%", ".2f"), Column("std\n", "%", ".2g"), Column("least\n", "%", ".2f")),
+            *(Column("largest\nerror", format=2), Column("worst pair", wrap=True)),
+        ]
+        worst = {pair.output: pair for pair in reversed(self.worst)}
+        places: list[tuple[str, ValidationSummary | PointSummary, FloatArray]] = [("all", self, self.infinity_norm_max)]
+        if 1 < len(self.points) <= _SHOWN_POINTS:
+            places += [(point_label(q.pressure_bar, q.speed_rpm), q, q.infinity_norm) for q in self.points]
+        rows: list[list[Entry]] = []
+        for place, figures, largest in places:
+            for j, (output, unit) in enumerate(zip(self.output_names, self.output_units, strict=True)):
+                pair = worst.get(output) if figures is self else None
+                numbers = (figures.n_pairs, float(figures.mean[j]), float(figures.std[j]))
+                least = float(self.least[j]) if figures is self else ""
+                shown = Cell(pair.model, f"{pair.model} on {pair.recording}") if pair else ""
+                rows.append(["" if j else place, output, *numbers, least, formatted(largest[j], 2, unit), shown])
+        title = f"cross-validation: {self.n_models} models, {self.n_recordings} recordings, {self.n_pairs} pairs"
+        return [Table(title, columns, rows, [f"failed: {text}" for text in self.failed])]
+
+    def figures(self) -> list[Figure]:
+        """Return the histograms of the fit percent; none for few pairs."""
+        means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(self.output_names, self.mean, strict=True))
+        words = f"Histograms of the cross-validation fit, means {means}"
+        return [Figure("plot_fit_histogram", words, (self,))] if self.n_pairs >= _FEWEST_DRAWN else []
 
 
 def join_scores(pairs: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:

@@ -176,7 +176,7 @@ def test_tables_fit_a_terminal_of_80_columns(quick, capsys):
     tables = []
     for stage in (PREFILTER, FIT, CROSSVAL):
         view = view_of(stage)
-        tables += view.tables(view.document(job, run_stage(job, stage)))
+        tables += view.tables(job, run_stage(job, stage))
     console = Console(width=80, highlight=False)
     for table in tables:
         console.print(terminal_table(table))

@@ -10,10 +10,8 @@ import pytest
 
 import gbid
 from gbid.control import MaxDamping, PStructure, scheduled
-from gbid.control.assessment import FIGURES, DesignFigures
+from gbid.control.assessment import FIGURES, DesignFigures, comparison_table, conditions_words
 from gbid.core.errors import UsageError
-from gbid.report.control_tables import comparison_table
-from gbid.report.read import conditions_words
 
 MACHINE = gbid.load_model("theisen2016")
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}

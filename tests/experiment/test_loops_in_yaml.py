@@ -21,7 +21,6 @@ from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.tune import TUNE
 from gbid.experiment.structures import make_structure
 from gbid.recording import load_recording
-from gbid.report.control_tables import loop_documents, loop_tables
 from gbid.structure import evaluate
 
 UNSTABLE = """\
@@ -177,6 +176,6 @@ def test_the_price_of_a_loop_is_the_ratio_of_the_standard_deviations(tmp_path, m
     (row,) = read_values(tmp_path / "held.csv", cost.LoopCostRow)
     assert (row.parameter, row.std, row.std_beside, row.recordings_beside) == ("k", 6.0, 2.0, 3)
     assert (row.peak, row.peak_beside, row.duration_s) == (3e-6, 2e-6, 1.0)
-    (table,) = loop_tables(loop_documents([row]))
+    (table,) = cost.cost_tables([row])
     assert table.rows[0][-1] == 3.0
     assert "3.0 µm" in markdown_table(table)

@@ -11,8 +11,8 @@ from gbid.core import hdf5
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
 from gbid.prefilter import PrefilterFile, PrefilterReport, identify_runout, prefilter
+from gbid.prefilter.filtering import correction_rows
 from gbid.prefilter.runout import shaft_motion
-from gbid.report.fit_tables import prefilter_rows
 from gbid.rig import Faults, Prbs, Stationary, record
 
 POINT = (5.0, 6000.0)
@@ -81,9 +81,9 @@ def test_places_are_stored_and_shown(runout, tmp_path):
     for field in fields(PrefilterReport):
         np.testing.assert_equal(getattr(loaded, field.name), getattr(report, field.name))
     assert (old.spikes, old.spike_samples) == (report.spikes, ())  # spikes were not sought
-    for i, row in enumerate(prefilter_rows([loaded])):
+    for i, row in enumerate(correction_rows([loaded])):
         assert (row["spikes"], row["first_spikes"]) == (report.spikes[i], list(report.spike_samples[i][:10]))
-    assert [row["first_spikes"] for row in prefilter_rows([old])] == [[], []]
+    assert [row["first_spikes"] for row in correction_rows([old])] == [[], []]
     with hdf5.changing(path) as file:
         del file["reports/0000/spike_samples"]
         file["reports/0000/spike_samples"] = [1, 2]

@@ -12,8 +12,8 @@ from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.units import SIGNALS
 from gbid.prefilter import PrefilterFile, prefilter
+from gbid.prefilter.filtering import correction_rows, correction_table
 from gbid.recording import Recording, import_recording, load_recording, save_recording
-from gbid.report.fit_tables import prefilter_rows, prefilter_table
 from gbid.report.measured_pictures import plot_response
 from gbid.rig import Hammer, Machine, Prbs, record
 
@@ -83,10 +83,10 @@ def test_the_prefilter_reports_in_the_unit_of_the_position(tmp_path):
         save(PrefilterFile(None, (report,)), tmp_path / "a.h5", overwrite=True)
         (loaded,) = load(tmp_path / "a.h5", PrefilterFile).reports
         assert dict(loaded.units) == {"u": "", "p": units.get("p", "")}
-        table = prefilter_table(prefilter_rows([loaded]))
+        table = correction_table(correction_rows([loaded]))
         assert [column.unit for column in table.columns[2:4]] == [shown, shown]
     mixed = [prefilter(drive({"p": unit}, channels=2))[1] for unit in ("m", "V")]
-    assert prefilter_table(prefilter_rows(mixed)).columns[2].unit == "m or V"
+    assert correction_table(correction_rows(mixed)).columns[2].unit == "m or V"
 
 
 def test_an_import_of_another_quantity_says_rename(tmp_path):

@@ -18,7 +18,7 @@ from gbid.identify import bode, fit, load_fit, measured_response
 from gbid.lpv import load_model
 from gbid.lpv.model import Domain
 from gbid.recording import Recording, load_recording
-from gbid.structure import LinearModel, evaluate
+from gbid.structure import LinearModel, PiezoPair, evaluate
 from gbid.validate import cross_validate
 
 
@@ -86,6 +86,17 @@ def test_a_machine_with_one_speed_has_curves_in_place_of_surfaces_and_maps():
     np.testing.assert_array_equal(curve.get_ydata(), data.damping[:, 0])
     np.testing.assert_array_equal(marks.get_xdata(), [5.0, 6.0])
     assert panel.get_title(loc="left") == "P, 4200 rpm"
+
+
+def test_a_pair_without_effect_says_so_and_warns_of_nothing(recwarn):
+    poles = {
+        f"{name}_{axis}": value for axis in "xy" for name, value in {"p1": 500.0, "p2": 2000.0, "kappa": 1.0}.items()
+    }
+    axes = report.plot_bode(evaluate(PiezoPair(), poles))
+    axes[0, 0].figure.canvas.draw()
+    assert [text.get_text() for text in axes[0, 1].texts] == ["no effect"]
+    assert not axes[0, 0].texts
+    assert not [warning for warning in recwarn if "positive values" in str(warning.message)]
 
 
 def test_bode_diagram_in_axes_of_ones_own(result):

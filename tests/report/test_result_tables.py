@@ -1,19 +1,15 @@
 """Tables of results hold the values of their documents; the words are made from them."""
 
 import math
+from dataclasses import replace
 
-import pytest
+import numpy as np
 
 from gbid.core.tables import csv_text
+from gbid.experiment.stages.crossval import CrossvalRow, pair_table
 from gbid.identify.fit_tables import gain_table, mode_table, parameter_table
-from gbid.report.fit_tables import (
-    campaign_tables,
-    crossval_table,
-    lpv_table,
-    nominal_table,
-    recording_table,
-    static_table,
-)
+from gbid.report.campaign_tables import campaign_tables
+from gbid.validate import NominalActuator
 
 
 def parameter(name, estimate, std, unit="", truth=None, fixed=False):
@@ -64,53 +60,30 @@ def test_gains_that_are_held_at_zero_are_left_out():
 
 
 def test_crossval_says_what_was_missed():
-    row = {
-        "model": "a", "recording": "b", "output": "p_x", "fit_percent": 88.123, "infinity_norm": 1.234e-6, "unit": "m",
-        "residuals_white": False, "residuals_follow": ("my u", "v"), "missed": True, "minimum_percent": 90.0,
-    }  # fmt: skip
-    fine = {**row, "residuals_white": None, "residuals_follow": (), "missed": False, "unit": "V"}
-    assert crossval_table("fit", [row, fine]).texts() == [
+    row = CrossvalRow("fit", "a", "b", "p_x", 88.123, 1.234e-6, "m", 0.0, False, ("my u", "v"), 90.0)
+    fine = replace(row, residuals_white=None, residuals_follow=(), minimum_percent=None, unit="V")
+    assert pair_table([row, fine]).texts() == [
         ["a", "b", "p_x", "88.12", "1.2 µm", "no", "my u, v", "below 90 %"],
         ["a", "b", "p_x", "88.12", "1.2e-6 V", "-", "-", ""],
     ]
-    assert len(crossval_table("fit", [fine]).columns) == 7
+    assert len(pair_table([fine]).columns) == 7
 
 
-def test_nominal_table_tells_outliers_only_where_there_are_any():
-    document = {
-        "fit": "piezos", "model": "run1", "chosen_from": 3, "parameters": {"p1_x": 2000.0}, "std": {"p1_x": math.nan},
-        "outliers": [], "left_out": [],
-    }  # fmt: skip
-    assert nominal_table(document).texts() == [["run1", "p1_x", "2000.0", "-", "rad/s"]]
-    left_out = nominal_table({**document, "left_out": ["run7: not there"]})
-    assert left_out.texts()[1] == ["left out", "", "", "", "", "run7: not there"]
+def nominal(**changes):
+    names = ("p1_x",)
+    made = NominalActuator(
+        "run1", {"p1_x": 2000.0}, {"p1_x": math.nan}, ("run1", "run2", "run3"), names,
+        np.ones((3, 1)), np.zeros((3, 1)),
+        np.ones(3), 3.5, (), (),
+    )  # fmt: skip
+    return replace(made, **changes)
 
 
-def test_static_gains_have_their_lengths_in_micrometres():
-    gain = {
-        "input": "u_x", "output": "p_x", "gain": 0.28, "std": 1e-5, "rms": 2e-9, "largest": 5e-9, "hysteresis": None,
-        "hysteresis_std": None,
-    }  # fmt: skip
-    document = {
-        "name": "film", "kind": "bearing", "recordings": ["r1"], "units": ["m", "m"], "gains": [gain], "notes": ["few"],
-    }  # fmt: skip
-    table = static_table(document)
-    assert [column.heading for column in table.columns][3:5] == ["rms off linear [µm]", "largest [µm]"]
-    assert table.texts() == [["u_x to p_x", "0.28000", "10e-6", "0.00200", "0.00500", "-", "-"]]
-    assert table.notes == ["few"]
-
-
-@pytest.mark.parametrize("published", [None, 0.02])
-def test_deviations_from_surfaces_stand_beside_the_papers(published):
-    row = {"name": "tau_x", "rms": 1e-5, "published_rms": published, "largest": 3e-5, "unit": "s", "recording": "r"}
-    document = {
-        "item": "surfaces", "recordings": 9, "operating_points": 9, "options": {"method": "mixed"}, "status": "found",
-        "deviations": [row], "outliers": [], "orders": [], "notes": ["thin"], "path": "a.yaml",
-    }  # fmt: skip
-    table = lpv_table(document)
-    numbers = ["0.01", "0.03"] if published is None else ["0.01", "20", "0.03"]
-    assert table.texts() == [["tau_x", *numbers, "ms", "r"]]
-    assert table.notes == ["", "note: thin", "model: a.yaml"]
+def test_nominal_actuator_has_outliers_only_where_there_are_any():
+    (table,) = nominal().tables()
+    assert table.texts() == [["run1", "p1_x", "2000.0", "-", "rad/s"]]
+    outliers = nominal(left_out=("run7: not there",)).tables()[1]
+    assert outliers.texts() == [["left out", "run7: not there"]]
 
 
 def test_a_campaign_without_fits_has_one_table():
@@ -119,8 +92,3 @@ def test_a_campaign_without_fits_has_one_table():
     row = {"fit": "a", "fits": 0, "converged": 0, "missing": 4, "median_fit_percent": {}, "worst": None,
            "worst_fit_percent": None}  # fmt: skip
     assert campaign_tables({"stages": {}, "fits": [row]})[0].texts() == [["a", "0", "0", "4", "", "", ""]]
-
-
-def test_recordings_tell_length_and_operating_point():
-    row = {"name": "run", "samples": 500, "duration_s": 0.5, "conditions": {"pressure_bar": 6.0}, "state": "made"}
-    assert recording_table([row]).texts() == [["run", "500", "0.5", "pressure_bar 6", "made"]]

@@ -24,7 +24,7 @@ crossval_summary.worst: fit_percent, infinity_norm, model, output, recording
 crossval_summary.points: infinity_norm, mean, n_pairs, pressure_bar, speed_rpm, std
 nominal: chosen_from, distance, fit, left_out, model, outliers, parameters, path, std
 lpv: coefficients, coefficients_std, deviations, item, lack_of_fit, left_out, model, notes, operating_points, options,
-    orders, outliers, path, published_largest_gain, recordings, scatter_std, status, success
+    orders, outliers, path, recordings, scatter_std, status, success
 lpv.deviations: largest, name, published_rms, recording, rms, unit
 lpv.orders: order, score, why_not
 tuning: active, controller, design, gains, goals, impact, method, notes, objective, pareto, path, peak_control,

@@ -89,8 +89,8 @@ def _document(_: Job, outcomes: Sequence[Outcome]) -> Document:
     return {"peaks": rows}
 
 
-def _tables(document: Document) -> list[Table]:
-    rows = [[row["recording"], row["peak"]] for row in document["peaks"]]
+def _tables(job: Job, outcomes: Sequence[Outcome]) -> list[Table]:
+    rows = [[row["recording"], row["peak"]] for row in _document(job, outcomes)["peaks"]]
     return [Table("peaks", [Column("recording"), Column("peak", format=3)], rows)]
 
 

@@ -26,10 +26,11 @@ from gbid.control.impact.ringdown import (
 from gbid.control.loop.close import force_entry
 from gbid.control.loop.sampled import exact_plant
 from gbid.core import hdf5
-from gbid.core.arrays import FloatArray, one_of_each_pair, oscillatory_modes
+from gbid.core.arrays import FloatArray, one_of_each_pair, oscillatory_modes, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import Stored
+from gbid.core.tables import Column, Entry, Row, Table, formatted, keyed_table, shown_unit
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
 from gbid.structure import LinearModel, PiezoPair, evaluate
@@ -409,6 +410,74 @@ class ImpactStudy(Brief, hdf5.InFile):
     validations: Annotated[tuple[ImpactValidation, ...], Stored(at="responses")]
     figures: tuple[ImpactFigures, ...] = ()
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("impact", "make it again with `gbid impact`", 3)
+
+    def document(self) -> Row:
+        """Return modes and responses as plain values, for JSON."""
+        ring = self.ringdown
+        return {
+            **self.conditions,
+            "loop": self.loop,
+            "model": self.model,
+            "controller": self.controller,
+            "status": ring.status,
+            "success": ring.success,
+            "notes": list(ring.notes),
+            "impacts": ring.n_impacts,
+            "lag_rates": ring.lag_rates.tolist(),
+            "residual_rms": ring.residual_rms.tolist(),
+            "modes": mode_rows(self),
+            "responses": response_rows(self),
+        }
+
+    def tables(self) -> list[Table]:
+        """Return the tables of expected and obtained modes, of the responses, and of the motion after an impact."""
+        where = f"{point_label(self.conditions['pressure_bar'], self.conditions['speed_rpm'])}: {self.loop}"
+        modes = mode_rows(self)
+        rows: list[list[Entry]] = []
+        for words, source, more in _SOURCES:
+            if self.controller or source != "running_{}":
+                frequencies = [formatted(row[f"{source.format('frequency')} [Hz]"], f".{1 + more}f") for row in modes]
+                dampings = [formatted(row[source.format("damping")], f".{3 + more}f") for row in modes]
+                rows.append([words, *frequencies, *dampings])
+        columns = [Column(""), *(Column(f"ω{row['mode']}", "Hz", 4) for row in modes)]
+        columns += [Column(f"ζ{row['mode']}", format=4) for row in modes]
+        responses = response_rows(self)
+        motion = [Column("recording")]
+        moved: list[list[Entry]] = [[row["recording"]] for row in responses]
+        for name, unit, heading in _MOTION:
+            factor, shown = shown_unit(unit)
+            motion += [Column(heading, shown, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]
+            for row, cells in zip(responses, moved, strict=True):
+                values = (row[f"{name}{suffix} [{unit}]"] for suffix in ("", "_std", "_simulated"))
+                cells += [None if value is None else factor * value for value in values]
+        notes = [f"note: {note}" for note in self.ringdown.notes]
+        notes += [] if self.ringdown.success else [f"status: {self.ringdown.status}"]
+        return [
+            Table(f"{where}, natural frequencies and damping factors", columns, rows),
+            keyed_table(f"{where}, measured against simulated responses, p = g_f G f", _RESPONSE, responses),
+            Table(f"{where}, after an impact, mean over the impacts", motion, moved, ["", *notes] if notes else ()),
+        ]
+
+
+_SOURCES = (
+    ("expected from model", "expected_{}", 0),
+    ("expected, sampled loop", "running_{}", 0),
+    ("obtained from the impacts", "obtained_{}", 2),
+    ("  standard deviation", "obtained_{}_std", 2),
+)
+"""Rows of the table of modes: words, key in `mode_rows`, and further decimals."""
+_RESPONSE = {
+    "recording": Column("recording"),
+    "impacts": Column("impacts", format="d"),
+    "force_scale [1/kg]": Column("g_f", "1/kg", ".4f"),
+    "force_scale_std [1/kg]": Column("std", format=".4f"),
+    "fit_along [%]": Column("fit along\nthe impact", "%", ".2f"),
+    "fit_x [%]": Column("fit x", "%", ".2f"),
+    "fit_y [%]": Column("fit y", "%", ".2f"),
+}
+"""Columns of the table of measured and simulated responses, by key."""
+_MOTION = (("peak", "m", "disc up to\n"), ("decay", "s", "over after\n"), ("piezo", "m", "piezo up to\n"))
+"""Figures of impacts in the rows of responses: name, unit and heading."""
 
 
 def study_impacts(

@@ -16,7 +16,7 @@ import numpy as np
 from gbid import identify, validate
 from gbid.core.errors import DataError, nearest
 from gbid.core.hdf5 import load, save
-from gbid.core.tables import Value, csv_rows, plain_table, write_csv
+from gbid.core.tables import Column, Entry, Table, Value, csv_rows, formatted, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, validation_pairs
 from gbid.experiment.fields import Found, Item, Result, needed, stored_key
 from gbid.experiment.run import (
@@ -187,6 +187,25 @@ class CrossvalRow:
     def missed(self) -> bool:
         """Whether the fit percent is below the required minimum."""
         return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
+
+
+def pair_table(rows: Sequence[CrossvalRow]) -> Table:
+    """Return the table of the fit percent of each model on each recording, and of the residual tests."""
+    missed = any(row.missed for row in rows)
+    columns = [
+        *(Column("model of"), Column("on"), Column("output"), Column("fit\n", "%", ".2f")),
+        *(Column("largest\nerror", format=2), Column("residuals\nwhite", format="s"), Column("follow")),
+        *([Column("")] if missed else []),
+    ]
+    cells: list[list[Entry]] = [
+        [
+            *(row.model, row.recording, row.output, row.fit_percent),
+            *(formatted(row.infinity_norm, 2, row.unit), row.residuals_white, ", ".join(row.residuals_follow) or None),
+            *([f"below {row.minimum_percent:g} %" if row.missed else ""] if missed else []),
+        ]
+        for row in rows
+    ]
+    return Table("cross-validation, simulated", columns, cells)
 
 
 def _scores(job: Job, rows: Sequence[CrossvalRow]) -> validate.ValidationScores:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gbid import control, lpv
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError
 from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
-from gbid.core.tables import Table, read_values, table_of_values, write_csv
+from gbid.core.tables import Column, Entry, Table, read_values, table_of_values, write_csv
 from gbid.experiment.controllers import TUNED, controller_section, load_design, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Item, Result, needed, refusal
@@ -142,6 +142,7 @@ def cycle_can_run(experiment: Experiment) -> Found:
 
 # ---- Rows of the cycle: certainty of the model and damping of the loop, for each round and operating point.
 
+_INTERVAL = 1.96  # standard deviations of a 95 % interval
 _STEP = 1e-3  # of the difference quotients, in standard deviations of a parameter
 _MODES = ("frequency_1_hz", "frequency_2_hz", "damping_1", "damping_2")
 
@@ -211,6 +212,29 @@ def cycle_table(rows: Sequence[CycleRow]) -> Table:
         "sampled loop, by the same surfaces; frequency and damping: of the loop on the rig, measured by impacts",
     )
     return table_of_values(CycleRow, rows, notes)
+
+
+def rounds_table(rows: Sequence[CycleRow]) -> Table:
+    """Return the table of the rounds for readers."""
+    columns = [
+        *(Column("round", format="d"), Column("where"), Column("recordings", format="d")),
+        *(Column("std of frequencies", "Hz"), Column("std of dampings")),
+        *(Column("promised", format=".3f"), Column("expected", format=".3f"), Column("reached, 95 %")),
+    ]
+    notes = (
+        "std: of both modes of the bearing without controller, by the surfaces of the round; promised: smallest "
+        "damping of the design over all points and plants; expected: of the sampled loop at this point, by the "
+        "surfaces; reached: smaller damping of both modes of the loop on the rig, measured by impacts",
+    )
+    cells: list[list[Entry]] = []
+    for row in rows:
+        frequencies = f"{row.model_frequency_1_hz_std:.3f}, {row.model_frequency_2_hz_std:.3f}"
+        dampings = f"{row.model_damping_1_std:.5f}, {row.model_damping_2_std:.5f}"
+        damping, std = row.reached
+        reached = f"{damping:.4f} ± {_INTERVAL * std:.4f}" if row.converged else "ring-downs not fitted"
+        model = (row.recordings, frequencies, dampings, row.promised_damping, row.expected_damping)
+        cells.append([row.round, point_label(row.pressure_bar, row.speed_rpm), *model, reached])
+    return Table("Rounds of the cycle", columns, cells, notes)
 
 
 def _row(number: int, fit: lpv.LPVFit, design: TunedDesign, study: control.ImpactStudy) -> CycleRow:

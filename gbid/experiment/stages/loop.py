@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from gbid import identify
 from gbid.core.errors import UsageError, nearest
-from gbid.core.tables import read_values, table_of_values, write_csv
+from gbid.core.tables import Column, Row, Table, formatted, in_unit, read_values, table_of_values, write_csv
 from gbid.experiment.controllers import early_design, is_tuned, tuned_design
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Item, Location
@@ -68,6 +69,7 @@ LOOP = Stage("loop", "controller", (), loop_tasks, early=True)
 # ---- What a loop costs in precision: standard deviations in the loop beside those without controller.
 
 FOLDER = "loops"
+_DIGITS = 2
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,36 @@ class LoopCostRow:
     unit: str
     std: float
     std_beside: float
+
+    def document(self) -> Row:
+        """Return the row as plain values, with the ratio of the standard deviations, for JSON."""
+        return {**asdict(self), "ratio": self.std / self.std_beside}
+
+
+def _peak_words(row: LoopCostRow, peak: float) -> str:
+    return f"{row.peak_of} up to {in_unit(peak, row.peak_unit, 2)}"
+
+
+def cost_tables(rows: Sequence[LoopCostRow]) -> Iterator[Table]:
+    """Yield a table for each fit in a loop and operating point."""
+    columns = [Column("parameter"), Column("std in the loop", format=_DIGITS), Column("std without", format=_DIGITS)]
+    columns.append(Column("ratio", format=".2f"))
+    for (fit, point), group in groupby(rows, key=lambda row: (row.fit, row.point)):
+        first, *_ = here = list(group)
+        up_to = partial(_peak_words, first)
+        notes = [
+            f"{words}: {count} fits, recordings of {length:g} s, {peak}"
+            for words, count, length, peak in (
+                ("in the loop", first.recordings, first.duration_s, up_to(first.peak)),
+                ("without", first.recordings_beside, first.duration_beside_s, up_to(first.peak_beside)),
+            )
+        ]
+        notes.append("medians over the converged fits; above a ratio of 1 the loop costs precision, below it gains")
+        cells = [
+            [q.parameter, *(formatted(std, _DIGITS, q.unit) for std in (q.std, q.std_beside)), q.std / q.std_beside]
+            for q in here
+        ]
+        yield Table(f"{fit}, {point}: what the loop costs in precision, beside {first.beside}", columns, cells, notes)
 
 
 def cost_tasks(job: Job) -> list[Task]:
