@@ -1,9 +1,10 @@
-"""Optional packages, and data frames of pandas."""
+"""Optional packages, values that other packages offer by entry points, and data frames of pandas."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any
 
 from gbid.core.errors import UsageError
@@ -43,6 +44,34 @@ def extra_package(module: str, extra: str, what: str) -> Any:
 
 def _install(extra: str) -> str:
     return f"install the extra: pip install 'gbid[{extra}]'"
+
+
+def offered(group: str, name: str) -> tuple[Any, str] | None:
+    """Return what another package offers by an entry point, and the package with its version; None where none does.
+
+    Parameters
+    ----------
+    group : {"gbid.structures", "gbid.formats", "gbid.targets"}
+        Group of the entry points.
+    name : str
+        Name in the group.
+
+    Raises
+    ------
+    UsageError
+        When several packages offer the name, or when the import of the package fails.
+    """
+    points = list(entry_points(group=group, name=name))
+    packages = [f"{point.dist.name} {point.dist.version}" if point.dist else point.value for point in points]
+    if not points:
+        return None
+    if len(points) > 1:
+        raise UsageError(f"{name!r} ({group}) is offered by {' and '.join(packages)}; uninstall one of them")
+    try:
+        return points[0].load(), packages[0]
+    except Exception as error:  # foreign code can fail in any way
+        text = f"{name!r} ({group}): {packages[0]} fails on its import: {type(error).__name__}: {error}"
+        raise UsageError(f"{text}; repair or uninstall it") from error
 
 
 def data_frame(columns: Mapping[str, Any], *, index: str = "", units: Mapping[str, str] | None = None) -> Any:

@@ -20,7 +20,6 @@ from .goal import (
 from .limits import (
     ExcitationLimits as ExcitationLimits,
     PossibleMachine as PossibleMachine,
-    rig_limits as rig_limits,
 )
 from .model import (
     KnownModel as KnownModel,

@@ -12,8 +12,6 @@ from gbid.core.arrays import ComplexArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive, check_options
 from gbid.excite.model import KnownModel
-from gbid.rig import Machine, RotorBearingTruth, Scatter, scatter_random, scattered, unbalance_orbit
-from gbid.rig.sensors import TURN, runout
 
 SAFE = 0.98
 """Part of a limit that a design uses: between the samples the motion is a little larger than at them."""
@@ -75,7 +73,7 @@ class ExcitationLimits:
     taken : float
         Part of the clearance that is taken in the model itself [m].
     machines : sequence of PossibleMachine
-        Other machines that must not rub either; see `gbid.excite.rig_limits`.
+        Other machines that must not rub either; those of the rig: `gbid.rig.possible_machines`.
 
     Raises
     ------
@@ -183,61 +181,3 @@ def limited_signals(
             f"limits: input {missing[0]} has no limit; give its largest magnitude, such as peaks={{...: 4.5e-6}}"
         )
     return limited
-
-
-# ---- Limits for a machine of the virtual rig: no rub, with its unbalance, run-out and scatter.
-
-_DRAWS = 100  # machines from a scatter
-_TURN = np.asarray(np.arange(720) * (TURN / 720), float)  # angles of a turn
-
-
-def rig_limits(
-    machine: Machine,
-    *,
-    conditions: Mapping[str, float],
-    peaks: Mapping[str, float],
-    radius: Mapping[str, float] | None = None,
-    scatter: Scatter | None = None,
-) -> ExcitationLimits:
-    """Return limits with which a machine of the rig does not rub.
-
-    The run-out counts as if the disc moved by it: a disc that is not round needs this part of the clearance, and on a
-    real machine nobody can tell the two apart before they are separated.
-
-    Parameters
-    ----------
-    machine : Machine
-        The rig at the operating point.
-    conditions : dict of str to float
-        Operating point; ``speed_rpm`` is required.
-    peaks, radius : dict of str to float
-        As of `ExcitationLimits`.
-    scatter : Scatter, optional
-        Differences from recording to recording, of which 100 machines are drawn. Without it the machine is always the
-        same.
-
-    Returns
-    -------
-    ExcitationLimits
-        With the clearance of the machine.
-    """
-    speed = float(conditions["speed_rpm"]) * TURN / 60.0
-    drawn = []
-    if scatter is not None:
-        for i in range(_DRAWS):
-            random = scatter_random(0, f"excitation {i}", conditions)
-            bearing, _ = scattered(machine.rotor_bearing, scatter, random)
-            drawn.append(PossibleMachine(bearing.key_parameters(), _taken(machine, bearing, speed)))
-    return ExcitationLimits(
-        peaks=dict(peaks),
-        radius=dict(radius or {}),
-        clearance=machine.clearance,
-        taken=_taken(machine, machine.rotor_bearing, speed),
-        machines=tuple(drawn),
-    )
-
-
-def _taken(machine: Machine, rotor_bearing: RotorBearingTruth, speed: float) -> float:
-    """Return the part of the clearance that unbalance and run-out take [m]."""
-    orbit = unbalance_orbit(rotor_bearing, machine.unbalance, speed, _TURN)
-    return float(sum(np.linalg.norm(way, axis=1).max() for way in (orbit, runout(machine.sensors, _TURN))))

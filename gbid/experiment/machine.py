@@ -37,6 +37,7 @@ from gbid.rig import (
     StackStaircase,
     Staircase,
     Stationary,
+    possible_machines,
     record,
     rig_effect,
     scatter_random,
@@ -260,6 +261,14 @@ def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[st
         "touch_down": rig.touch_down,
         "stacks": rig.actuators.record_stacks,
     }
+
+
+def clearance_of_rig(
+    experiment: Experiment, planned: PlannedRecording
+) -> tuple[float, list[tuple[dict[str, float], float]]]:
+    """Return the clearance of the rig [m], and its possible machines; see `gbid.rig.possible_machines`."""
+    machine, options = machine_at(experiment, planned), record_options(experiment, planned)
+    return machine.clearance, possible_machines(machine, planned.conditions, options["scatter"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from gbid import excite, lpv
+from gbid import lpv
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import read_document, save
 from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not
 from gbid.experiment.fields import Item, Result, stored_key
-from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
+from gbid.experiment.machine import rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
-from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
+from gbid.experiment.schema import ImportedSection, LpvSection
 from gbid.experiment.structures import fit_channels
 from gbid.recording import ProblemKind, Recording, find_problems, load_recording
 
@@ -221,39 +221,6 @@ def read_signals(job: Job, name: str) -> RecordingSignals:
     planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
     document = known(path, DOCUMENT, partial(read_document, kind=Recording.FILE))
     return RecordingSignals(name, planned.kind, planned.point, **document)
-
-
-# ---- Plan of an excitation: the limits of a model of a fit.
-
-DISC = "p"
-
-
-def excitation_limits(
-    experiment: Experiment, section: ExciteSection, planned: PlannedRecording, outputs: tuple[str, ...]
-) -> excite.ExcitationLimits:
-    """Return the limits of an excitation; of a recording of the rig those with which its machines do not rub.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    section : ExciteSection
-        Its section of the excitation.
-    planned : PlannedRecording
-        A recording of the fit, whose operating point counts.
-    outputs : tuple of str
-        Outputs of the fit; without the disc among them its motion is not known.
-    """
-    limits = section.limits
-    if limits.clearance_m is None and planned.imported is None and DISC in outputs:
-        return excite.rig_limits(
-            machine_at(experiment, planned),
-            conditions=planned.conditions,
-            peaks=limits.peaks,
-            radius=limits.radius,
-            scatter=record_options(experiment, planned)["scatter"],
-        )
-    return excite.ExcitationLimits(limits.peaks, limits.radius, limits.clearance_m, DISC, limits.taken_m)
 
 
 # ---- Actuator parameters of the surfaces.

@@ -11,6 +11,7 @@ import numpy as np
 
 from gbid import control
 from gbid.core.errors import GbidError, UsageError, nearest
+from gbid.core.extras import offered
 from gbid.experiment.controllers import at_point, controller_identity, found_controller, sample_time
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import about, file_digest
@@ -31,6 +32,7 @@ from gbid.structure import (
     kind_of,
     scheduled,
 )
+from gbid.structure.user import called, checked
 
 # ---- Closed loop of a fit's structure and the controller that its section names.
 
@@ -192,10 +194,17 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
             raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}", "options")
         with about("options"):
             return build(**options)
+    if offer := _offered(spec.structure):
+        build, package = offer
+        with about("structure"):
+            made = called(build, f"{spec.structure} of {package}", **options) if callable(build) else build
+            return checked(made, spec.structure, package)
     if ":" not in spec.structure:
         hint = nearest(spec.structure, BUILT_IN)
         raise UsageError(
-            f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)", "structure"
+            f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name, or install the package "
+            "that offers it)",
+            "structure",
         )
     if options:
         raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them", "options")
@@ -203,11 +212,18 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
         return user_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
 
 
+def _offered(name: str) -> tuple[Any, str] | None:
+    """Return the structure that another package offers under a name, and the package; None for a Python file."""
+    return None if ":" in name else offered("gbid.structures", name)
+
+
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
     """Return the settings of a structure for its content key: name, options, and the digest of its file."""
     spec = experiment.spec.fits[fit]
     file = spec.structure.rpartition(":")[0]
     settings: dict[str, Any] = {"name": spec.structure, "options": spec.options.model_dump(exclude_none=True)}
+    if spec.structure not in BUILT_IN and (offer := _offered(spec.structure)):
+        settings["package"] = offer[1]
     if file:
         settings["file_sha256"] = file_digest(experiment.folder_of(file) / file)
     if spec.loop is not None:

@@ -51,6 +51,7 @@ from .simulation import (
 from .response import (
     Motion as Motion,
     driven_motion as driven_motion,
+    possible_machines as possible_machines,
     unbalance_orbit as unbalance_orbit,
 )
 from .sensors import (

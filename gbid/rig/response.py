@@ -14,6 +14,7 @@ are exact up to rounding at every time and for every real delay. Neither a time 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,16 @@ from gbid.core.arrays import FloatArray, one_blas_thread, recursion
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.rig.excitation import Hammer, Turning
-from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth, Unbalance
+from gbid.rig.machine import (
+    ActuatorTruth,
+    Machine,
+    RotorBearingTruth,
+    Scatter,
+    Unbalance,
+    scatter_random,
+    scattered,
+)
+from gbid.rig.sensors import TURN, runout
 
 MIN_OVERSAMPLING = 20
 _U, _P = 1, slice(2, 4)  # states of one chain: a, u, q_x, q_y, their velocities; the held input last
@@ -130,6 +140,38 @@ def unbalance_orbit(
     force = unbalance.eccentricity_m * speed**2 * np.exp(1j * unbalance.phase_rad) * np.array([1.0, -1j])
     dynamic = -(speed**2) * np.eye(2) - 1j * speed * rotor_bearing.damping - rotor_bearing.stiffness
     return np.asarray(np.outer(np.exp(1j * angle), np.linalg.solve(dynamic, force)).real)
+
+
+_DRAWS = 100  # machines from a scatter
+_TURN = np.asarray(np.arange(720) * (TURN / 720), float)  # angles of a turn
+
+
+def possible_machines(
+    machine: Machine, conditions: Mapping[str, float], scatter: Scatter | None = None
+) -> list[tuple[dict[str, float], float]]:
+    """Return key parameters of a machine and of a hundred draws of its scatter, with the part of the clearance taken.
+
+    The orbit of the unbalance and the run-out take this part [m]. The run-out counts as if the disc moved by it: a disc
+    that is not round needs it, and on a real machine nobody can tell the two apart before they are separated.
+
+    Parameters
+    ----------
+    machine : Machine
+        The rig at the operating point.
+    conditions : dict of str to float
+        Operating point; ``speed_rpm`` is required.
+    scatter : Scatter, optional
+        Differences from recording to recording. Without it the machine is always the same.
+    """
+    speed = float(conditions["speed_rpm"]) * TURN / 60.0
+    bearings = [machine.rotor_bearing]
+    if scatter is not None:
+        draws = (scatter_random(0, f"excitation {i}", conditions) for i in range(_DRAWS))
+        bearings += [scattered(machine.rotor_bearing, scatter, random)[0] for random in draws]
+    shape = np.linalg.norm(runout(machine.sensors, _TURN), axis=1).max()
+    orbits = [unbalance_orbit(bearing, machine.unbalance, speed, _TURN) for bearing in bearings]
+    largest = [float(np.linalg.norm(orbit, axis=1).max() + shape) for orbit in orbits]
+    return [(bearing.key_parameters(), taken) for bearing, taken in zip(bearings, largest, strict=True)]
 
 
 def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int) -> FloatArray:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -103,18 +103,32 @@ def structure_in(module: ModuleType, path: Path, name: str) -> AnyStructure | Li
         raise UsageError(f"{path}: no name {name!r} in this file")
     loaded = getattr(module, name)
     if not isinstance(loaded, AnyStructure | LinearModel) and callable(loaded):
-        try:
-            loaded = loaded()
-        except (Exception, SystemExit) as error:
-            raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
-    if isinstance(loaded, LinearModel):
-        return loaded
+        loaded = called(loaded, f"{path}: {name}()")
+    return loaded if isinstance(loaded, LinearModel) else checked(loaded, name, str(path))
+
+
+def called(factory: Callable[..., Any], where: str, **options: Any) -> Any:
+    """Return what a function of a user returns; whatever it raises is a UsageError."""
+    try:
+        return factory(**options)
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{where} failed: {in_one_line(error)}") from error
+
+
+def checked(loaded: Any, name: str, where: str) -> AnyStructure:
+    """Return a structure after a check of the sizes of its equations; what is none is refused.
+
+    Raises
+    ------
+    UsageError
+        When it is no structure, or when its equations do not fit; the text begins with `where`.
+    """
     if not isinstance(loaded, AnyStructure):
-        raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
+        raise UsageError(f"{where}: {name} is not a structure; {_REMEDY}")
     try:
         kind_of(loaded).anatomy()
     except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
+        raise UsageError(f"{where}: {error}") from error
     return loaded
 
 

@@ -10,7 +10,7 @@ from gbid import excite, identify
 from gbid.core.errors import GbidError, nearest
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Item
-from gbid.experiment.recordings import excitation_limits
+from gbid.experiment.machine import clearance_of_rig
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ExciteSection
 from gbid.experiment.stages.fit import fit_entries, fit_result, load_made_fit
@@ -34,6 +34,7 @@ def excitations_have_fits(experiment: Experiment) -> Found:
 # ---- Stage of the excitations of the next recordings.
 
 FOLDER = "excite"
+_DISC = "p"
 
 
 def excite_tasks(job: Job) -> Work:
@@ -54,8 +55,17 @@ def excite_tasks(job: Job) -> Work:
 
 
 def _limits(experiment: Experiment, section: ExciteSection, result: identify.FitResult) -> excite.ExcitationLimits:
-    """Return the limits of an excitation for the machine of a model's first recording."""
-    return excitation_limits(experiment, section, experiment.recordings[result.recordings[0]], result.options.outputs)
+    """Return the limits of an excitation: those of its section, or those with which the machines of the rig do not rub.
+
+    The operating point is that of the first recording of the fit. Without the disc among the outputs of the fit its
+    motion is not known.
+    """
+    limits, planned = section.limits, experiment.recordings[result.recordings[0]]
+    clearance, taken, machines = limits.clearance_m, limits.taken_m, tuple[excite.PossibleMachine, ...]()
+    if clearance is None and planned.imported is None and _DISC in result.options.outputs:
+        clearance, ((_, taken), *others) = clearance_of_rig(experiment, planned)
+        machines = tuple(excite.PossibleMachine(*other) for other in others)
+    return excite.ExcitationLimits(limits.peaks, limits.radius, clearance, _DISC, taken, machines)
 
 
 def _write(job: Job, part: Path, name: str, model: str) -> Made:
