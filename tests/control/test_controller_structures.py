@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 from own_controller import own
@@ -58,17 +57,6 @@ def test_scheduled_gains_are_polynomials_over_the_scaled_domain() -> None:
     np.testing.assert_allclose(model.C, p_controller(expected["kappa_x"], expected["kappa_y"]).C, rtol=1e-12)
     at = structure.at(P, Omega)
     np.testing.assert_allclose(controller_model(at, gains).C, model.C, rtol=1e-12)
-
-
-def test_scheduled_matrices_take_symbols() -> None:
-    structure = scheduled(PStructure(), ("1", "P"))
-    point = ca.SX.sym("point", 2)
-    p = gbid.structure.parameter.Values.of(structure.parameters, ca.SX.sym("c", 4))
-    C = structure.matrices(p, point[0], point[1])["C"]
-    function = ca.Function("C", [ca.vertcat(*p.values()), point], [ca.densify(C)])
-    values = [1.0, 0.5, 2.0, -0.25]
-    expected = controller_at(structure, dict(zip(p, values, strict=True)), 6.0, 0.0).C
-    np.testing.assert_allclose(np.array(function(values, [6.0, 0.0])), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(

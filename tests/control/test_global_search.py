@@ -14,10 +14,10 @@ from gain_problems import damping_problem
 import gbid
 from gbid.control import MaxDamping, PeakSensitivity, controller_model
 from gbid.control.tuning import problem as budget
-from gbid.control.tuning.local import LocalOptions, optimise_locally
-from gbid.control.tuning.problem import Evaluations, GainProblem, Score
+from gbid.control.tuning.local import optimise_locally
+from gbid.control.tuning.problem import GainProblem, Score
 from gbid.control.tuning.result import GainStatus
-from gbid.control.tuning.search import GainSolution, SearchOptions, SearchTask, grid_starts, random_starts, search
+from gbid.control.tuning.search import GainSolution, SearchOptions, SearchTask, search
 
 
 def loop_of(result: gbid.GainResult) -> gbid.LinearModel:
@@ -147,18 +147,6 @@ def test_a_budget_ends_with_limits_that_hold_or_an_honest_status(law, cap, evalu
     H = np.array([(K.C @ np.linalg.solve(p * np.eye(len(K.A)) - K.A, K.B) + K.D)[0, 0] for p in s])
     peak = np.abs(1 / (1 - G * H)).max()
     assert peak <= cap * (1 + 2e-6) if kept else peak == pytest.approx(cap * np.exp(result.violation), rel=1e-3)
-
-
-def test_a_used_budget_ends_starts_and_local_searches() -> None:
-    problem = damping_problem(two_basins, [-3.0], [3.0])
-    spent = replace(problem, evaluations=Evaluations(0, 0))
-    unit, neutral = np.ones(1), np.zeros(1)
-    assert len(random_starts(problem, neutral, unit, 5, 0)) == 5
-    assert random_starts(spent, neutral, unit, 5, 0) == []
-    assert len(grid_starts(problem, neutral, unit, 61, 5)) > 0
-    assert grid_starts(spent, neutral, unit, 61, 5) == []
-    assert optimise_locally(problem, neutral, LocalOptions(iterations=100)).iterations > 2
-    assert optimise_locally(spent, neutral, LocalOptions(iterations=100)).iterations == 1
 
 
 def test_a_larger_budget_gives_no_worse_gains_and_an_early_end_stable_ones() -> None:

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from experiment_files import gbid as command
 from experiment_files import write_quick
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from json_keys import assert_keys
 from scipy.linalg import block_diag
 
@@ -33,7 +31,6 @@ from gbid.control import (
     scheduled,
     study_impacts,
 )
-from gbid.control.impact.study import _decay
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
@@ -380,17 +377,3 @@ def test_loops_are_averaged_over_their_impacts() -> None:
     assert report.plot_impact_loops(data) is not None
     with pytest.raises(UsageError, match="at one operating point"):
         report.impact_loops_data({})
-
-
-@given(rate=st.floats(30, 300), noise=st.floats(0.0, 0.1))
-@settings(max_examples=20, deadline=None)
-def test_decay_of_an_exponential(rate: float, noise: float) -> None:
-    """The sum of the noise energy is known within its own scatter, which the last 5 % of the energy must hold."""
-    n = 2000
-    time = 2e-4 * np.arange(n)
-    random = np.random.default_rng(1).standard_normal(n) * noise
-    size = 4 * np.exp(-rate * time)
-    computed = 2e-4 * _decay(np.sqrt(size**2 + random**2), noise**2)
-    off = 4 * noise**2 * np.sqrt(2 * n) / np.sum(size**2)
-    earliest, latest = (-np.log(1 - share) / (2 * rate) for share in (0.95 - off, 0.95 + off))
-    assert 0.97 * earliest < computed < 1.03 * latest

@@ -10,9 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.peaks import Peaks, peak_slopes
-from gbid.control.tuning.plane import InvariantSubspaces
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem, Limits, rows_of
 from gbid.structure import LinearModel
@@ -218,30 +216,3 @@ def test_curvature_of_all_pieces_against_differences(made: Any) -> None:
         difference = (np.array(slopes[: len(x)]) - slopes[len(x) :]) / 2e-5
         curvature = problem.curvature(x, here.states, [(function, 1.0)])
         np.testing.assert_allclose(curvature, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
-
-
-@pytest.mark.parametrize(("centre", "size"), [(-1 + 0j, 3), (-4 + 2j, 2)])
-def test_power_sums_of_a_cluster_against_differences(centre: complex, size: int) -> None:
-    # (s + 1)^3 + g0 + g1 s beside a double complex pair split by g2, in a random basis
-    rng = np.random.default_rng(7)
-    T = rng.normal(size=(7, 7))
-    g = ca.SX.sym("g", 3)
-    first = ca.blockcat([[0, 1, 0], [0, 0, 1], [-1 - g[0], -3 - g[1], -3]])
-    turn = ca.blockcat([[-4, 2], [-2, -4]])
-    second = ca.blockcat([[turn, ca.SX.eye(2)], [g[2] * ca.SX([[1, 2], [0, 1]]), turn + g[1] * ca.SX.eye(2)]])
-    family = families_of([ca.Function("A", [g], [T @ ca.diagcat(first, second) @ np.linalg.inv(T)])], 3)[0]
-
-    def cluster(x: np.ndarray) -> Any:
-        loops = family.derivatives(x)
-        return InvariantSubspaces(loops, 0).cluster(centre, size, 1.0)
-
-    x, step = np.array([0.02, 0.03, 0.05]), 1e-5
-    here = cluster(x)
-    near = np.linalg.eigvals(family.states(x)[0])
-    near = near[np.argsort(np.abs(near - centre))[:size]]
-    assert here.mean == pytest.approx(near.mean(), abs=1e-9)
-    assert here.powers == pytest.approx([((near - near.mean()) ** j).mean() for j in range(2, size + 1)], abs=1e-9)
-    for i in range(3):
-        ahead, behind = cluster(x + step * np.eye(3)[i]), cluster(x - step * np.eye(3)[i])
-        assert here.mean_slope[i] == pytest.approx((ahead.mean - behind.mean) / (2 * step), abs=1e-6)
-        assert here.powers_slope[:, i] == pytest.approx((ahead.powers - behind.powers) / (2 * step), abs=1e-6)

@@ -22,7 +22,6 @@ from gbid.control import (
 )
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.tuning.goals import Goal, limits_of
-from gbid.control.tuning.plane import Eigensystem
 from gbid.control.tuning.plants import ModelPlants, TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem
 from gbid.core.errors import UsageError
@@ -266,11 +265,3 @@ def test_arguments_that_mean_nothing_are_refused():
         excess(RmsResponse(sources=("f_x", "f_y"), targets=("x",), limit=1.0, spectrum=force), bearing())
     with pytest.raises(UsageError, match="give speeds_rpm= to tune"):
         excess(PeakResponse(sources=("f_x",), targets=("x",), limit=1.0, orders=(1.0,)), bearing())
-
-
-def test_left_and_right_eigenvectors_of_equal_axes_belong_together():
-    # two equal axes have every eigenvalue twice; with left vectors that do not fit, responses were wrong by a factor
-    problem, x = problem_of(AxisSensitivity(3.0), [bearing()])
-    for share in np.linspace(0.6, 1.4, 9):
-        system = Eigensystem.of(problem.families[0].states(x * [share, share, 1.0, 1.0]))
-        assert np.abs(system.left @ system.right - np.eye(system.values.shape[1])).max() < 1e-9

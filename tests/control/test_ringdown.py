@@ -11,8 +11,7 @@ from scipy.stats import binom
 
 import gbid
 from gbid.control import find_impacts
-from gbid.control.impact.measured import pulse_forcing, pulses_of
-from gbid.control.impact.ringdown import RingProblem, covariance_of_sum
+from gbid.control.impact.ringdown import RingProblem
 from gbid.core.errors import DataError, UsageError
 
 H = 2e-4
@@ -121,21 +120,6 @@ def test_intervals_cover_the_truth(pole: float, seeds: int) -> None:
     assert hits < total
 
 
-def test_force_between_the_samples() -> None:
-    """A corner between samples does not spoil the impulse, as it does sums over the samples."""
-    time = H * np.arange(400)
-    for delayed in np.linspace(0, 0.95, 12):
-        f = np.column_stack([half_sine(time, (100 + delayed) * H), np.zeros(400)])
-        pulses = pulses_of(f, find_impacts(f, H))
-        for rate in (0.0, 900.0):  # after the pulse a state with this rate
-            forced = pulse_forcing(np.array([[-rate]]), np.array([[1.0, 0.0]]), pulses, 400, H)[:, 0]
-            computed = sum(np.exp(-rate * (399 - k) * H) * forced[k - 1] for k in range(1, 400))
-            fine = np.linspace(0, 2e-3, 20001)
-            end = 399 * H - (100 + delayed) * H
-            exact = np.trapezoid(10 * np.sin(np.pi * fine / 2e-3) * np.exp(-rate * (end - fine)), fine)
-            assert computed == pytest.approx(exact, rel=5e-4)
-
-
 def test_impacts_are_found() -> None:
     time = H * np.arange(2000)
     f = 0.05 * np.random.default_rng(1).standard_normal((2000, 2))
@@ -147,16 +131,6 @@ def test_impacts_are_found() -> None:
     assert (first.pulses, second.pulses) == (1, 2)
     assert first.peak_n == pytest.approx(10.0, abs=0.2)
     assert second.stop >= 1030
-
-
-def test_residuals_that_remember() -> None:
-    """Variance of a mean of an autoregression: the known sum over all lags."""
-    random, pole = np.random.default_rng(3), 0.7
-    w = random.standard_normal((40000, 1))
-    for k in range(1, len(w)):
-        w[k] = pole * w[k - 1] + w[k]
-    mean = covariance_of_sum([np.full((1000, 1, 1), 1e-3)], [w], [np.ones(len(w), bool)], 2e-4)
-    assert mean == pytest.approx(1 / (1 - pole) ** 2 / 1000, rel=0.1)
 
 
 def test_force_of_one_channel() -> None:

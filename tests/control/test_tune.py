@@ -24,7 +24,6 @@ from gbid.control import (
     p_controller,
     scheduled,
 )
-from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
 from tests.benchmarks import tune_speed
 from tests.benchmarks.tune_speed import FINE, Loops, survivors
@@ -142,24 +141,6 @@ def test_piezo_travel_limits_the_gains() -> None:
     assert travel(dict(result.gains)) >= 0.99 * allowed
     assert result.value < free.value
     assert "piezo travel at 6 bar, 0 rpm" in result.active
-
-
-def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
-    structure = gbid.controller_structure("biquad")
-    gains = {"b0": 0.9, "b1": -1.5, "b2": -2.0, "frequency": 0.4, "damping": 0.6}
-    values = {p.name: gains[p.name[:-2]] * (1.1 if p.name.endswith("x") else 1.0) for p in structure.parameters}
-    points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
-    family = plants_of(MODEL, structure, TuneOptions(operating_points=points)).family(points)
-    impact = HalfSine(peak_n=9.0, duration_s=1.5e-3, mass_kg=2.18)
-    limit = PiezoTravel(impact=impact, travel_m=45e-6).measure(MODEL.plant_at(3, 0))
-    computed = limit.function(family, np.array(list(values.values())))
-    assert limit.limit == 22.5e-6
-    for point, value in zip(points, computed, strict=True):
-        plant, controller = MODEL.plant_at(*point), controller_at(structure, values, *point)
-        peaks = [impact_response(plant, controller, impact.towards(a), duration_s=0.05).peak_r_m for a in (0, 90)]
-        assert value == pytest.approx(max(peaks), rel=2e-6)
-    unstable = limit.function(family, np.array([5.0, 5.0, *list(values.values())[2:]]))
-    assert unstable == pytest.approx(1e3 * limit.limit)
 
 
 def test_decay_and_a_corner_that_is_tuned() -> None:

@@ -15,9 +15,6 @@ from scipy.signal import ss2tf
 
 import gbid
 from gbid.control import MaxDamping, controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tuning.loops import PlantMatrices
-from gbid.control.tuning.plane import true_rates
-from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -31,26 +28,6 @@ asked = dict(operating_points=[(6.0, 0.0)], peak_sensitivity=2.0, sample_time=2e
 found = gbid.tune(model, "biquad", **asked)
 print(json.dumps({"status": str(found.status), "value": found.value, "gains": dict(found.gains)}))
 """
-
-
-def test_delayed_inputs_turn_the_phase_and_nothing_else() -> None:
-    plant = gbid.LinearModel(
-        [[-200.0, 900.0], [-900.0, -10.0]], np.eye(2), [[1.0, 0.5], [0.0, 2.0]], [[0.1, 0], [0, 3]]
-    )
-    delayed = PlantMatrices.stacked([plant, plant]).delayed(3e-4)
-    A, B, C, D = delayed.A[1], delayed.B[1], delayed.C[1], delayed.D[1]
-    for hz in (5.0, 100.0, 300.0, 600.0):
-        s = 2j * np.pi * hz
-        before = plant.frequency_response([hz])[0]
-        after = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
-        leading = 36 / (720 * 5040) * abs(3e-4 * s) ** 7  # (n!)^2 / (2n)! / (2n + 1)! (w tau)^(2n + 1), n = 3
-        np.testing.assert_allclose(after, np.exp(-3e-4 * s) * before, rtol=1.05 * leading + 1e-12, atol=1e-12)
-
-
-def test_delay_is_half_a_sample_and_the_computation() -> None:
-    assert TuneOptions().delay_s == 0
-    assert TuneOptions(sample_time=2e-4).delay_s == pytest.approx(3e-4)
-    assert TuneOptions(sample_time=2e-4, computation_s=0.0).delay_s == pytest.approx(1e-4)
 
 
 def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> None:
@@ -126,22 +103,6 @@ def test_modes_that_die_within_a_sample_do_not_count() -> None:
     assert smallest_damping(model(slow, fast)) == pytest.approx(0.5)
     within = np.exp(dt * (-0.8 / dt + 2j * np.pi * 2000))  # it dies within more than a sample
     assert smallest_damping(model(slow, within)) == pytest.approx(4000 / np.hypot(4000, 4000 * np.pi))
-
-
-@pytest.mark.parametrize("method", ["tustin", "zoh"])
-def test_sampled_loops_of_a_search_are_those_of_the_target(method: str) -> None:
-    structure, x = gbid.controller_structure("biquad"), np.array([0.9, 0.7, 0.3, -0.2, -0.6, -0.9, 0.3, 0.35, 0.6, 0.9])
-    plants = plants_of(MODEL, structure, TuneOptions(operating_points=ONE, sample_time=2e-4, method=method))
-    family = plants.family(plants.points)
-    gains = dict(zip((p.name for p in structure.parameters), x, strict=True))
-    loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller_model(structure, gains), 2e-4, method=method)
-    modes = true_rates(np.linalg.eigvals(family.states(x)[0]), 2e-4)
-    assert np.sort(modes.real)[-8:] == pytest.approx(np.sort(loop.closed.poles().real)[-8:], rel=1e-6)
-    loops, step = family.derivatives(x), 1e-6 * np.eye(len(x))
-    n = loops.A.shape[-1]
-    slopes = (loops.left[0] @ loops.core[0] @ loops.right[0])[:, :n, :n]
-    differences = [(family.states(x + e)[0] - family.states(x - e)[0]) / 2e-6 for e in step]
-    np.testing.assert_allclose(slopes, differences, atol=1e-6 * np.abs(slopes).max())
 
 
 def test_half_of_a_budget_is_for_the_sampled_loop() -> None:

@@ -8,15 +8,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from gain_problems import damping_problem, oscillator, responding
+from gain_problems import damping_problem, responding
 from scipy.optimize import brentq
 
 import gbid
 from gbid.control.loop.norm import peak_gain
-from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.peaks import ModalResponse, Peaks
 from gbid.control.tuning.problem import GainProblem, Limits
-from gbid.control.tuning.result import Edge, distance_to_edge, exact_norms, worst_mode
+from gbid.control.tuning.result import Edge, distance_to_edge, exact_norms
 from gbid.control.tuning.search import SearchTask
 from gbid.control.tuning.solve import solve, summarise
 
@@ -65,17 +64,6 @@ def test_a_design_keeps_its_limit_between_the_grids_frequencies(monkeypatch: pyt
 
 
 # ---- worst mode and edge ----
-
-
-def test_the_worst_mode_is_named() -> None:
-    g = ca.SX.sym("g")
-    loops = [oscillator(z, w) for z, w in ((0.3, 2 * np.pi), (0.1 + g, 4 * np.pi), (0.2, 6 * np.pi))]
-    families = families_of([ca.Function("A", [g], [A]) for A in loops], 1)
-    problem = GainProblem(families, Limits(), -np.ones(1), np.ones(1), 1.0)
-    for gain, expected in ((0.0, ("A[1]", 2.0, 0.1)), (0.5, ("A[2]", 3.0, 0.2)), (-0.15, ("A[1]", 2.0, -0.05))):
-        mode = worst_mode(problem, np.array([gain]))
-        assert mode.where == expected[0]
-        assert (mode.frequency_hz, mode.damping) == pytest.approx(expected[1:], rel=1e-9)
 
 
 def test_the_nearest_edge_of_stability() -> None:
