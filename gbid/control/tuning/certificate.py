@@ -91,7 +91,6 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
             places[key] = radius / max(abs(centre), 0.01 * problem.scale), centre, radius
     tightest = sorted(places, key=lambda key: places[key][0])
     largest = sorted(tightest[_ALONE:], key=lambda key: -key[2])[:1]
-    subspaces = problem.subspaces(x, functions.states)
     groups: list[tuple[Meeting, ...]] = []
     joint: list[Meeting] = []
     for key in (*tightest[: 2 * _ALONE], *largest):
@@ -100,7 +99,7 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
             continue
         f, loop, size, _ = key
         _, centre, radius = places[key]
-        cluster = subspaces.cluster(f, loop, centre, size)
+        cluster = problem.cluster(functions.states, f, loop, centre, size)
         if cluster is None or (cluster.real and damping):
             continue
         value, slope = problem.mean_of(f, cluster)
@@ -192,9 +191,9 @@ def back_to_meeting(
         if not size > met or (slow and (fresh or smallest < _ROUNDED)):
             break
         if slow:
-            (move, sums), subspaces = nearest, problem.subspaces(x + nearest[0])
+            (move, sums), states = nearest, problem.states(x + nearest[0])
             clusters = [
-                subspaces.cluster(mean.family, mean.loop, place, mean.size)
+                problem.cluster(states, mean.family, mean.loop, place, mean.size)
                 for mean, (place, _) in zip(means, sums, strict=True)
             ]
             remaining = [cluster for cluster in clusters if cluster is not None]
@@ -216,7 +215,9 @@ def back_to_meeting(
 def _inverse(clusters: Sequence[Cluster], width: FloatArray) -> FloatArray:
     """Return the pseudo-inverse of the derivatives of the power sums, in units of the width."""
     slopes = np.concatenate([cluster.powers_slope for cluster in clusters]) * width
-    return _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
+    rows = np.vstack([slopes.real, slopes.imag])
+    length = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)  # the rows have very different lengths
+    return np.asarray(np.linalg.pinv(rows / length[:, None], rcond=1e-12) / length)
 
 
 def _reached(
@@ -238,12 +239,6 @@ def _reached(
         T = problem.families[loop[0]].sample_time
         lowest = min(lowest, float(problem.aim(true_rates(np.append(values[apart], centres), T), T).min()))
     return lowest
-
-
-def _pseudo_inverse(rows: FloatArray) -> FloatArray:
-    """Return the pseudo-inverse of a matrix whose rows have very different lengths."""
-    length = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-    return np.asarray(np.linalg.pinv(rows / length[:, None], rcond=1e-12) / length)
 
 
 def _sums(

@@ -854,9 +854,9 @@ def kernels() -> Library | None:
 
 
 def compiled_eigenvalues(library: Library, A: FloatArray) -> ComplexArray | None:
-    """Return the eigenvalues (m, n) of matrices (m, n, n); None when some are not found."""
+    """Return the eigenvalues (m, n) of matrices (m, n, n); None when some are not found, or without memory."""
     A, values = np.ascontiguousarray(A), np.empty(A.shape[:2], complex)
-    return values if _found(library.spectra(*values.shape, A.ctypes.data, values.ctypes.data)) else None
+    return values if library.spectra(*values.shape, A.ctypes.data, values.ctypes.data) > 0 else None
 
 
 def compiled_eigensystems(
@@ -869,7 +869,7 @@ def compiled_eigensystems(
     A, values = np.ascontiguousarray(A), np.empty(A.shape[:2], complex)
     right, left = np.empty(A.shape, complex), np.empty(A.shape, complex)
     addresses = values.ctypes.data, right.ctypes.data, left.ctypes.data
-    converged = _found(library.eigensystems(*values.shape, A.ctypes.data, longest, *addresses))
+    converged = library.eigensystems(*values.shape, A.ctypes.data, longest, *addresses) > 0
     return (values, right, left) if converged else None
 
 
@@ -877,7 +877,7 @@ def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:
     """Return the Schur form of a finite matrix (n, n) as `compiled_cluster` takes it; None when it is not found."""
     n, A = len(A), np.ascontiguousarray(A)
     form = np.empty(2 * n * n + (n + 1) // 2 + n, complex)
-    return form if _found(library.schur_form(n, A.ctypes.data, form.ctypes.data)) else None
+    return form if library.schur_form(n, A.ctypes.data, form.ctypes.data) > 0 else None
 
 
 def compiled_cluster(

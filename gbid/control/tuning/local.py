@@ -81,19 +81,16 @@ class QuadraticProgramme:
         return (x, rows) if ended["success"] and np.isfinite(x).all() else None
 
 
-class _Solvers(threading.local):
-    """Solvers of one thread: each has arrays of its own, which two threads must not share."""
-
-    def __init__(self) -> None:
-        self.of_size = lru_cache(maxsize=64)(QuadraticProgramme)
-
-
-_SOLVERS = _Solvers()
+_SOLVERS = threading.local()
+"""Solvers of one thread: each has arrays of its own, which two threads must not share."""
 
 
 def quadratic_programme(n: int, m: int) -> QuadraticProgramme:
     """Return this thread's solver for n variables and m rows."""
-    return _SOLVERS.of_size(n, m)
+    if not hasattr(_SOLVERS, "of_size"):
+        _SOLVERS.of_size = lru_cache(maxsize=64)(QuadraticProgramme)
+    solver: QuadraticProgramme = _SOLVERS.of_size(n, m)
+    return solver
 
 
 # ---- Step of the gains along the ridges between the functions near the worst one, by a quadratic programme.
@@ -155,8 +152,9 @@ def ridge_step(
         scaled = np.array([slope for _, slope in equalities]) * reach
         norm = np.maximum(np.sqrt((scaled * scaled).sum(axis=1)), 1e-300)
         equal, sides = scaled / norm[:, None], -np.array([value for value, _ in equalities]) / norm
-        if not _within_reach(equal, sides, lower[:d], upper[:d]):
-            return None
+        ends = equal * lower[:d], equal * upper[:d]
+        if (np.minimum(*ends).sum(axis=1) > sides).any() or (np.maximum(*ends).sum(axis=1) < sides).any():
+            return None  # an equality has no solution within the bounds
     aim = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)] if group else functions.aim
     aim, limits = [*aim, *(one.mean for one in group)], functions.limits
     n_aim, n_held = len(aim), len(aim) + len(limits)
@@ -203,13 +201,6 @@ def ridge_step(
     return RidgeStep(y[:d] * reach, gain, weights, limit_weight, kept, group, equal_weights)
 
 
-def _within_reach(rows: FloatArray, sides: FloatArray, lower: FloatArray, upper: FloatArray) -> bool:
-    """Return whether each equality has a solution within the bounds."""
-    ends = rows * lower, rows * upper
-    least, most = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
-    return bool(((least <= sides) & (sides <= most)).all())
-
-
 def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState]) -> FloatArray:
     """Return the convex part of the curvature (d, d) of the functions that determined the step to a design.
 
@@ -240,10 +231,10 @@ def _slopes_of_meetings(
     problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState] = ()
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the gradient of the weighted means and power sums of a step's meetings, and that of each power sum."""
-    subspaces, slope, rows = problem.subspaces(x, states), np.zeros_like(x), []
+    states, slope, rows = states or problem.states(x), np.zeros_like(x), []
     for meeting in step.group:
         mean = meeting.mean
-        cluster = subspaces.cluster(mean.family, mean.loop, mean.place, mean.size)
+        cluster = problem.cluster(states, mean.family, mean.loop, mean.place, mean.size)
         if cluster is None or cluster.real != meeting.cluster.real:
             return None
         weight = sum(weight for piece, weight in step.weights if piece is mean)

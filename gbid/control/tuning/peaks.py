@@ -67,8 +67,9 @@ class ModalResponse:
 
     def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
         """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops whose modes may have no use."""
-        forms = {int(loop): self._form(int(loop)) for loop in np.flatnonzero(self._suspect)}
-        return self._poles, self._residues, self._D, forms
+        for loop in np.flatnonzero(self._suspect).tolist():
+            self._form(loop)
+        return self._poles, self._residues, self._D, self._forms
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""

@@ -85,8 +85,8 @@ class Uncertainty(Brief):
                 ("covariance", self.covariance, n),
                 ("scatter", self.scatter, len(KEY_PARAMETERS)),
             ):
-                matrix = None if given is None else _array(name, given)
-                if matrix is not None and not (matrix.shape == (size, size) and _symmetric(matrix)):
+                matrix = np.zeros((size, size)) if given is None else _array(name, given)
+                if matrix.shape != (size, size) or not _symmetric(matrix):
                     raise UsageError(
                         f"uncertainty: {name} has shape {matrix.shape}; give finite and symmetric {(size, size)}"
                     )

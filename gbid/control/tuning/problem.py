@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import inf
 from time import monotonic
 from typing import Annotated, NamedTuple
@@ -49,23 +50,39 @@ class LoopState:
         The gains.
     loops : Loops or Derivatives
         Matrices; with derivatives where slopes are wanted.
-    system : Eigensystem
-        Eigenvalues and eigenvectors.
     steps : (d,) array
         Changes of each gain for differences, towards the inside of the bounds.
+    known_system : Eigensystem, optional
+        Eigenvalues and eigenvectors, where they are known.
     """
 
     family: LoopFamily
     gains: FloatArray
     loops: Loops
-    system: Eigensystem
     steps: FloatArray
+    known_system: Eigensystem | None = None
+    _subspaces: dict[int, InvariantSubspaces] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def system(self) -> Eigensystem:
+        """Eigenvalues and eigenvectors."""
+        return self.known_system or Eigensystem.of(self.loops.A)
 
     @property
     def derivatives(self) -> Derivatives:
         """Matrices with their derivatives."""
         assert isinstance(self.loops, Derivatives)
         return self.loops
+
+    def cluster(self, loop: int, place: complex, size: int, least_rate: float) -> Cluster | None:
+        """Return the eigenvalues of a loop nearest to a place in the complex plane; None when they are not separate.
+
+        The Schur form of each loop is computed once. The unit of distances is the magnitude of the place, and no less
+        than `least_rate` [rad/s].
+        """
+        if loop not in self._subspaces:
+            self._subspaces[loop] = InvariantSubspaces(self.derivatives, loop)
+        return self._subspaces[loop].cluster(place, size, max(abs(place), least_rate))
 
 
 class Pieces(NamedTuple):
@@ -233,46 +250,6 @@ def merit(score: Score, penalty: float = PENALTY) -> float:
     return score.value - penalty * score.violation if score.usable else -np.inf
 
 
-# ---- Invariant subspaces of many loops at one design.
-
-
-@dataclass(frozen=True, eq=False)
-class LoopSubspaces:
-    """Invariant subspaces of the loops at one design; each Schur form is computed once, when it is first needed.
-
-    Parameters
-    ----------
-    families : tuple of LoopFamily
-        The loops.
-    x : (d,) array
-        The gains.
-    least_rate : float
-        Smallest unit of distances between eigenvalues [rad/s].
-    known : sequence of LoopState, optional
-        Loops of the families at this design, where they are known.
-    """
-
-    families: tuple[LoopFamily, ...]
-    x: FloatArray
-    least_rate: float
-    known: Sequence[LoopState] = ()
-    _loops: dict[int, Derivatives] = field(default_factory=dict, init=False, repr=False)
-    _forms: dict[tuple[int, int], InvariantSubspaces] = field(default_factory=dict, init=False, repr=False)
-
-    def cluster(self, family: int, loop: int, place: complex, size: int) -> Cluster | None:
-        """Return the eigenvalues of a loop nearest to a place in the complex plane; None when they are not separate."""
-        return self._of(family, loop).cluster(place, size, max(abs(place), self.least_rate))
-
-    def _of(self, family: int, loop: int) -> InvariantSubspaces:
-        if family not in self._loops:
-            known = self.known[family].derivatives if self.known else None
-            self._loops[family] = known or self.families[family].derivatives(self.x)
-        if (family, loop) not in self._forms:
-            loops = self._loops[family]
-            self._forms[family, loop] = InvariantSubspaces(loops, loop)
-        return self._forms[family, loop]
-
-
 _EIGENVALUES, _RESPONSES = ("aim", "pole"), ("sensitivity", "control", "static")
 DIFFERENCE = 1e-6
 """Step of differences of gradients, as a share of the bounds."""
@@ -391,7 +368,8 @@ class GainProblem:
         if self.uses_responses and not all(loops.finite for loops in every):
             return UNUSABLE
         for _, _, peaks, limit in self._responses(every, systems, room=0.0):
-            violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
+            highest = float(peaks.value.max(initial=0.0))
+            violation = max(violation, float(np.log(max(highest, 1e-300) / limit)) if np.isfinite(highest) else np.inf)
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
         if self.limits.measures and some is None:
@@ -409,7 +387,11 @@ class GainProblem:
         """Return the loops of a family for given gains, as measures take them."""
         step = 1e-5 * (self.upper - self.lower)
         inwards = np.where(x + step > self.upper, -step, step)
-        return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
+        return LoopState(family, x, loops, inwards, system)
+
+    def states(self, x: FloatArray) -> list[LoopState]:
+        """Return the loops of all families for given gains, with derivatives."""
+        return [self.state(family, family.derivatives(x), x) for family in self.families]
 
     @property
     def edge(self) -> float:
@@ -453,14 +435,13 @@ class GainProblem:
         self.evaluations.count += 1
         aims: list[ActiveFunction] = []
         limits: list[ActiveFunction] = []
-        slopes_by = [family.derivatives(x) for family in self.families]
-        systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
+        states = self.states(x)
+        slopes_by, systems = [state.derivatives for state in states], [state.system for state in states]
         unfit = self.uses_responses and not all(loops.finite for loops in slopes_by)
         if unfit or any(np.isnan(system.values).any() for system in systems):
             return ActiveFunctions(UNUSABLE, (), ())
         rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
         values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
-        states = [self.state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)]
         softs = [(soft, f, state, soft.excess(state)) for soft in self.limits.soft for f, state in enumerate(states)]
         worst = min([*(float(v.min()) for v in values), *(-float(excess.max()) for *_, excess in softs)])
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
@@ -523,9 +504,9 @@ class GainProblem:
         numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
         return float(numbers[0]), gradients[0]
 
-    def subspaces(self, x: FloatArray, known: Sequence[LoopState] = ()) -> LoopSubspaces:
-        """Return the invariant subspaces of all loops at a design."""
-        return LoopSubspaces(self.families, x, 0.01 * self.scale, known)
+    def cluster(self, states: Sequence[LoopState], family: int, loop: int, place: complex, size: int) -> Cluster | None:
+        """Return the eigenvalues of a loop nearest to a place, at the design of the states; see `LoopState.cluster`."""
+        return states[family].cluster(loop, place, size, 0.01 * self.scale)
 
     def curvature(
         self, x: FloatArray, states: Sequence[LoopState], weighted: Sequence[tuple[ActiveFunction, float]]
@@ -616,11 +597,6 @@ class GainProblem:
                 heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
                 limited.append(("static", f, Peaks(np.arange(len(rest)), rest[:, 0], heights), limit))
         return limited
-
-
-def _log_ratio(value: float, limit: float) -> float:
-    """Return how far a gain exceeds its limit; infinite for a gain that is not finite."""
-    return float(np.log(max(value, 1e-300) / limit)) if np.isfinite(value) else np.inf
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

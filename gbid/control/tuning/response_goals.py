@@ -383,8 +383,7 @@ class PathMeasure(ResponseMeasure):
         assert isinstance(state.family, ControlLoops)
         family = state.family.along(self.path)
         take = family.derivatives if isinstance(state.loops, Derivatives) else family.matrices
-        loops = take(state.gains)
-        return replace(state, family=family, loops=loops, system=Eigensystem.of(loops.A))
+        return replace(state, family=family, loops=take(state.gains), known_system=None)
 
     def _peaks(self, state: LoopState) -> Peaks:
         if not self.orders:

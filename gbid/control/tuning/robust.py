@@ -248,7 +248,8 @@ def tune_robust(
     result = design((), given.start)
     for _ in range(given.rounds):
         seen = tried(draws, given.seed, result)
-        failing = _shortfall(seen, result.value)
+        missed = (result.value - seen.value) / max(abs(result.value), 1e-6) - 1e-3
+        failing = np.maximum(missed, seen.violation - HOLDS)  # in relative units, of the objective or of a limit
         if float((failing > 0).mean()) <= 1 - target or not result.keeps_limits:
             break
         edge = np.argsort(-failing)[int(np.floor((1 - target) * draws))]
@@ -365,11 +366,6 @@ def drawn_models(fit: PlantLike, n: int, rng: np.random.Generator) -> list[Linea
             raise UsageError(f"tune_robust: a drawn plant of {model.name!r} has a negative delay; fix the delays")
         drawn.append(replace(model, **parts))
     return drawn
-
-
-def _shortfall(seen: PlantDraws, value: float) -> FloatArray:
-    """Return by how much each plant misses the objective of the design or a limit, in relative units."""
-    return np.asarray(np.maximum((value - seen.value) / max(abs(value), 1e-6) - 1e-3, seen.violation - HOLDS))
 
 
 def _plant_and_uncertainty(model: LPVFit | LPVModel, options: RobustOptions) -> tuple[LPVModel, Uncertainty]:

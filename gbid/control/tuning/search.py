@@ -247,18 +247,13 @@ class LocalSearch:
         """Return whether a design is optimal to first order."""
         key = best.x.tobytes()
         if key not in self._certified:  # that there is no certificate takes a hundred times as long as to find one
-            self._certified[key] = certify(self.problem, best.x, certificate_units(self.unit, best.x))[0].holds
+            self._certified[key] = certify(self.problem, best.x, np.maximum(self.unit, np.abs(best.x)))[0].holds
         return self._certified[key]
 
     def settled(self, finals: list[LocalOptimum]) -> bool:
         """Return whether three of the best designs have the same value and the best one is certified."""
         best = best_of(finals)
         return sum(_same(one.score, best.score, self.options.agreeing) for one in finals) > 2 and self.certified(best)
-
-
-def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
-    """Return the units of a certificate: a gain's own magnitude, or its unit where it is small."""
-    return np.maximum(unit, np.abs(x))
 
 
 # ---- Basin hopping: random moves of a design, each with a new local search.

@@ -36,7 +36,6 @@ from gbid.control.tuning.search import (
     SearchTask,
     best_of,
     better,
-    certificate_units,
     gain_units,
     on_grid,
     reach_of_bounds,
@@ -148,7 +147,7 @@ def _certified(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
     """Return a design with its certificate; where the certificate finds a better one near it, that one."""
     unit = gain_units(problem, design.x)
     for _ in range(_CERTIFICATES):
-        certificate, x = certify(problem, design.x, certificate_units(unit, design.x))
+        certificate, x = certify(problem, design.x, np.maximum(unit, np.abs(design.x)))
         if certificate.holds or x is design.x or problem.evaluations.exhausted:
             break
         nearby = optimise_locally(problem, x, LocalOptions(1e-3, 60))
@@ -193,7 +192,7 @@ _ROUNDS = 20
 """Largest number of rounds in which worst points are added."""
 
 
-def solve_over_points(problem: GainProblem, plants: Plants, task: SearchTask) -> GainSolution:
+def solve_over_points(plants: Plants, problem: GainProblem, task: SearchTask) -> GainSolution:
     """Return the best design over all loops of the plants at their points; of many loops, some are designed for first.
 
     A design that is optimal for some loops and no worse in the others is optimal for all. With few gains every round is
@@ -201,7 +200,7 @@ def solve_over_points(problem: GainProblem, plants: Plants, task: SearchTask) ->
     """
     few_gains, every = len(task.neutral) <= 3, problem.families[0]
     if len(every) <= (_MANY_LOOPS if few_gains else FEW_LOOPS):
-        return solve(problem, task)
+        return _verified(search(problem, task), task)
     chosen = plants.first(plants.points)
     solution = solve(replace(problem, families=(plants.family(plants.points, chosen),)), task)
     while True:

@@ -19,7 +19,7 @@ from gbid.control.tuning.plants import (
     TuneOptions,
     plants_of,
 )
-from gbid.control.tuning.problem import Evaluations, Limits
+from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.result import GainResult, distance_to_edge, worst_mode
 from gbid.control.tuning.search import GainSolution, Progress, SearchOptions, SearchTask, search
@@ -54,29 +54,22 @@ def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[s
     )
     if unstable:
         notes += (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
-    names = tuple(parameter.name for parameter in plants.structure.parameters)
-    notes += _edge_notes(solution, names)
+    problem, x = solution.problem, solution.best.x
+    if problem.limits.peak_sensitivity is None and not problem.limits.measures and problem.stable(x):
+        text, names = "damping alone was maximised: the peak of S_o is not limited", plants.structure.parameters
+        edge = None if problem.evaluations.exhausted else distance_to_edge(problem, x, tuple(p.name for p in names))
+        if edge and np.isfinite(edge.change):
+            text += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
+        notes += (ControlNote.PEAK_NOT_LIMITED(text),)
     sampling = plants.sampling
     if sampling is not None and isinstance(plants, LpvPlants):
-        worst = worst_mode(replace(solution.problem, limits=Limits()), solution.best.x)
+        worst = worst_mode(replace(problem, limits=Limits()), x)
         text = (
             f"designed for sampling at {1e3 * sampling.sample_time:g} ms with {1e3 * sampling.computation_s:g} ms to "
             f"compute; the sampled loop has a smallest damping factor of {worst.damping:.3f}, at {worst.where}"
         )
         notes += (ControlNote.SAMPLED_LOOP(text),)
     return notes
-
-
-def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a note on the distance to instability of a design without a limit on a response."""
-    problem, x = solution.problem, solution.best.x
-    if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(x):
-        return ()
-    note = "damping alone was maximised: the peak of S_o is not limited"
-    edge = None if problem.evaluations.exhausted else distance_to_edge(problem, x, names)
-    if edge and np.isfinite(edge.change):
-        note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
-    return (ControlNote.PEAK_NOT_LIMITED(note),)
 
 
 def tune(
@@ -162,7 +155,10 @@ def tuned(
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
         first.append(_constant_gains(plants, structure, limits, box, effort, budget))
     task = SearchTask(box[2], tuple(first), effort, progress)
-    solution, values = independent_searches(partial(_design, plants, limits, box, budget), task, options.seeds)
+    problem, design = plants.problem(limits, *box, budget), partial(solve_over_points, plants)
+    if plants.sampling is not None:
+        design = partial(_for_sampling, plants, limits, box)
+    solution, values = independent_searches(partial(design, problem), task, options.seeds)
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
@@ -185,11 +181,10 @@ Box = tuple[FloatArray, FloatArray, FloatArray]
 """Lower bounds, upper bounds and start values of the gains."""
 
 
-def _design(plants: Plants, limits: Limits, box: Box, budget: Evaluations, task: SearchTask) -> GainSolution:
-    """Best design of a search: of the continuous loops, or of the sampled ones with starts from these."""
-    if plants.sampling is None:
-        return solve_over_points(plants.problem(limits, *box, budget), plants, task)
-    continuous, half = plants.continuous, budget.half()
+def _for_sampling(plants: Plants, limits: Limits, box: Box, problem: GainProblem, task: SearchTask) -> GainSolution:
+    """Best design of the sampled loops, with starts from designs of the continuous ones."""
+    budget, continuous = problem.evaluations, plants.continuous
+    half = budget.half()
     sketch = search(
         continuous.problem(limits, *box, half, few=True), replace(task, options=replace(task.options, sketch=True))
     )
@@ -197,8 +192,7 @@ def _design(plants: Plants, limits: Limits, box: Box, budget: Evaluations, task:
     first = (*(end.x for end in sketch.ends), *task.first)
     # few gains: a search of the whole box again, because it costs little; else from the continuous designs
     options = task.options if len(task.neutral) <= 3 else replace(task.options, starts=0)
-    task = replace(task, first=first, options=options)
-    solution = solve_over_points(plants.problem(limits, *box, budget), plants, task)
+    solution = solve_over_points(plants, problem, replace(task, first=first, options=options))
     return replace(solution, history=sketch.history + solution.history)
 
 
@@ -227,7 +221,7 @@ def _constant_gains(
     constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
     low, high, start = (values[constant] for values in box)
     problem = others.problem(limits, low, high, start, budget)
-    solution = solve_over_points(problem, others, SearchTask(start, options=effort))
+    solution = solve_over_points(others, problem, SearchTask(start, options=effort))
     coefficients = np.zeros(len(constant))
     coefficients[constant] = solution.best.x
     return coefficients
