@@ -26,7 +26,7 @@ from gbid.prefilter.filtering import repair_overloads
 from gbid.prefilter.runout import running_median
 from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
-from gbid.recording.formats import file_formats, format_of
+from gbid.recording.formats import file_formats, format_of, format_of_ending
 from gbid.recording.importing import list_channels
 from gbid.recording.quality import speed_change, turning_increments
 from gbid.recording.readers import FileChannel
@@ -204,7 +204,7 @@ def list_folder(folder: Path) -> FolderContent:
     if not folder.is_dir():
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
     listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    known = [path for path in listed if path.suffix.lower() in file_formats()]
+    known = [path for path in listed if format_of_ending(path.suffix.lower())]
     channels, unread = ({path: list_channels(path) for path in known}, {}) if known else _tables_among(listed)
     if unread and not channels:
         raise next(iter(unread.values()))

@@ -95,16 +95,26 @@ class ExportTarget:
 
 
 def export_target(name: str) -> ExportTarget:
-    """Target of a name.
+    """Target of a name: one of gbid, else one that another package offers.
+
+    A package offers a target by an entry point of the group ``gbid.targets``, whose value is an `ExportTarget`.
 
     Raises
     ------
     UsageError
-        When there is no such target.
+        When there is no such target, when the package fails on its import, or when it offers something else.
     """
-    if name not in TARGETS:
-        raise UsageError(f"--to {name}: no such target; there are {', '.join(sorted(TARGETS))}")
-    return TARGETS[name]
+    from gbid.core.extras import offered
+
+    if name in TARGETS:
+        return TARGETS[name]
+    match offered("gbid.targets", name):
+        case None:
+            raise UsageError(f"--to {name}: no such target; there are {', '.join(sorted(TARGETS))}")
+        case ExportTarget() as target, _:
+            return target
+        case other, package:
+            raise UsageError(f"--to {name}: {package} offers a {type(other).__name__}, no ExportTarget")
 
 
 def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:

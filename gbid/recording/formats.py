@@ -23,7 +23,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
-from gbid.core.extras import extra_package
+from gbid.core.extras import extra_package, offered
 from gbid.core.units import conversion_factor
 from gbid.recording.clock import even_step
 from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
@@ -46,8 +46,33 @@ from gbid.recording.universal import UNIVERSAL_ENDINGS, open_universal
 
 def format_of(path: Path) -> FileFormat | None:
     """Return the format of a file by its ending; that of tables in text for another one, unless it is not text."""
-    known = file_formats().get(path.suffix.lower())
+    known = format_of_ending(path.suffix.lower())
     return CSV if known is None and (not path.is_file() or holds_text(path)) else known
+
+
+def format_of_ending(ending: str) -> FileFormat | None:
+    """Return the format of a file ending (``.mat``): one of gbid, else one that another package offers.
+
+    A package offers a format by an entry point of the group ``gbid.formats``, whose name is the ending without the dot
+    and whose value is a `FileFormat`.
+
+    Raises
+    ------
+    UsageError
+        When the package fails on its import, or offers something else.
+    """
+    return file_formats().get(ending) or _offered_format(ending)
+
+
+@cache
+def _offered_format(ending: str) -> FileFormat | None:
+    match offered("gbid.formats", ending[1:]) if ending[1:] else None:
+        case None:
+            return None
+        case FileFormat() as found, _:
+            return found
+        case other, package:
+            raise UsageError(f"{ending!r} (gbid.formats): {package} offers a {type(other).__name__}, no FileFormat")
 
 
 @cache
