@@ -13,9 +13,9 @@ from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.data import Record
 from gbid.identify.pose import Optimum
-from gbid.identify.problem.assemble import unknown_bounds
+from gbid.identify.problem.assemble import bounded
 from gbid.identify.problem.nlp import Shooting
-from gbid.identify.problem.solve import Box, gauss_newton_step
+from gbid.identify.problem.solve import gauss_newton_step
 from gbid.identify.problem.states import initial_states
 from gbid.identify.uncertainty.residual_tests import followed, whiteness_test
 from gbid.structure import AnyStructure
@@ -75,17 +75,17 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     if not (exact or "foh" in holds):
         return None
     theta, starts = given.unpack(unknowns)
-    posed = _posed_anew(optimum, *exact) if exact else (given, starts, optimum.problem.box)
+    posed = _posed_anew(optimum, *exact) if exact else (given, starts)
     if posed is None:
         return None
-    other, starts, box = posed
+    other, starts = posed
     other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
-    x, cost, gain = np.clip(other.pack(theta, starts), *box), given.at(unknowns).cost, np.nan
+    x, cost, gain = np.clip(other.pack(theta, starts), *other.box), given.at(unknowns).cost, np.nan
     given.release()
     try:
         for _ in range(2 if exact else 1):  # the filters are further away
             iterate, before = other.at(x), x
-            x = np.clip(x + gauss_newton_step(other, iterate, x, box), *box)
+            x = np.clip(x + gauss_newton_step(other, iterate, x), *other.box)
             gain = (cost - other.cost_alone(*other.unpack(x))) * given.likelihood_size
             # A further step gains less than this one differs from what its slope promises, half of the first order.
             promised = (cost - iterate.cost - iterate.gradient @ (x - before) / 2) * given.likelihood_size
@@ -99,10 +99,8 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     return OtherHold(other, estimate, at, estimate - theta if np.isfinite(gain) else np.full(len(theta), np.nan))
 
 
-def _posed_anew(
-    optimum: Optimum, structure: AnyStructure, states: Sequence[int]
-) -> tuple[Shooting, FloatArray, Box] | None:
-    """Return the problem with another structure, window starts of the fit for it, and its bounds.
+def _posed_anew(optimum: Optimum, structure: AnyStructure, states: Sequence[int]) -> tuple[Shooting, FloatArray] | None:
+    """Return the problem with another structure, and window starts of the fit for it.
 
     `states` are the states of the fit that are those of the structure. None with further terms of the caller, which may
     be for the states of the fit.
@@ -125,7 +123,7 @@ def _posed_anew(
     ]
     shooting = replace(given, parts=tuple(parts), links=assembly.links, state_scale=given.state_scale[kept])
     starts = given.unpack(optimum.solution.unknowns)[1][:, kept]
-    return shooting, starts, unknown_bounds(shooting, assembly, begins)
+    return bounded(shooting, assembly, begins), starts
 
 
 _TOGETHER = 32_768  # samples

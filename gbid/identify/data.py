@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,13 +11,6 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import DataError
 from gbid.recording import Recording
 from gbid.recording.recording import without_gaps
-
-
-class Channels(NamedTuple):
-    """Signals or channels of a recording: inputs and outputs of its structure."""
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,19 +265,3 @@ def centred_rows(values: FloatArray) -> FloatArray:
     rows = np.array(values.T, order="C")
     rows -= rows.mean(axis=1)[:, None]
     return rows
-
-
-def gather_own(recordings: Sequence[Recording], channels: Sequence[Channels], minimum: int) -> FitData:
-    """Return the data of a fit in which each recording has inputs of its own; the outputs are the same signals.
-
-    Parameters and errors are those of `gather`. The names of the inputs are those of the first recording.
-    """
-    same_columns(recordings, ())
-    each = [gather([r], *names, minimum) for r, names in zip(recordings, channels, strict=True)]
-    for data in each:
-        if data.output_names != each[0].output_names:
-            raise DataError(
-                f"recordings {recordings[0].name!r} and {data.records[0].name!r} have different outputs, "
-                f"{', '.join(each[0].output_names)} and {', '.join(data.output_names)}; give their structures the same"
-            )
-    return replace(each[0], records=tuple(data.records[0] for data in each))

@@ -362,8 +362,8 @@ def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArg
     shooting = problem.shooting
     return FitProblem(
         (*(q.name for q in problem.assembly.free), *_names_of_starts(problem)),
-        np.clip(problem.unknowns, *problem.box),
-        *problem.box,
+        np.clip(problem.unknowns, *shooting.box),
+        *shooting.box,
         shooting.pack(np.ones(shooting.n_theta), np.ones((shooting.n_windows, shooting.n_states))) ** -1,
         shooting.n_gaps,
         nlp_functions(shooting, gauss_newton(shooting), Trouble()),

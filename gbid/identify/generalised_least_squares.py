@@ -70,8 +70,6 @@ class WeightedProblem:
     ----------
     shooting : Shooting
         The problem.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds of its unknowns, scaled.
     record_window : (n_records,) integer array
         First window of each record.
     known : (n_records, n) boolean array
@@ -83,7 +81,6 @@ class WeightedProblem:
     """
 
     shooting: Shooting
-    box: tuple[FloatArray, FloatArray]
     record_window: IntArray
     known: BoolArray
     options: FitArguments
@@ -93,8 +90,7 @@ class WeightedProblem:
         """Return the problem with one window for each segment, and which unknowns remain."""
         joined, kept = in_one_window(self.shooting)
         windows = (kept[joined.n_theta :: joined.n_states] - joined.n_theta) // joined.n_states
-        first, (lower, upper) = np.searchsorted(windows, self.record_window), self.box
-        return replace(self, shooting=joined, box=(lower[kept], upper[kept]), record_window=first), kept
+        return replace(self, shooting=joined, record_window=np.searchsorted(windows, self.record_window)), kept
 
     def estimate(self, z: FloatArray) -> Estimate:
         """Return the point of parameters and, after them, initial states of all records, with all gaps closed."""
@@ -114,7 +110,7 @@ class WeightedProblem:
     @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Bounds of parameters and initial states."""
-        lower, upper = (self.coordinates(edge) for edge in self.box)
+        lower, upper = (self.coordinates(edge) for edge in self.shooting.box)
         return lower, upper
 
     def is_elsewhere(self, z: FloatArray, minimum: _Descended) -> bool:

@@ -286,7 +286,7 @@ class Judged:
         none = np.zeros(len(at.theta), bool)
         if not np.isfinite(self.residuals.products).all():
             return none
-        force = forces_of_bounds(at.problem, optimum.solution.unknowns, optimum.problem.box)
+        force = forces_of_bounds(at.problem, optimum.solution.unknowns)
         if not force.any():
             return none
         lower, upper = np.array([(q.lower, q.upper) for q in optimum.problem.assembly.free]).T
@@ -502,7 +502,7 @@ class Judged:
             return None
         return Profiler(
             self.free,
-            self.optimum.problem.box,
+            self.estimate.problem.box,
             self.scores["loss"],
             self.estimate,
             self.residuals.products,

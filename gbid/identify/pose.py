@@ -24,15 +24,15 @@ from gbid.identify.predictor import Predictor
 from gbid.identify.problem.assemble import (
     Assembly,
     assemble,
+    bounded,
     build_problem,
     full_start,
-    unknown_bounds,
     with_extra_terms,
 )
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
 from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, Refinement, integrated_finely, refinement
 from gbid.identify.problem.nlp import RecordGroup, Shooting
-from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations, solve
+from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
     InitialStates,
     check_inputs_suffice,
@@ -112,9 +112,9 @@ class FitTask:
         full = full_start(
             assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
         )
-        shooting, unknowns = build_problem(assembly, self.data, self.options, full)
-        shooting, box = self._bounded(assembly, parameters, shooting, unknowns)
-        return PosedProblem(self, start, window, parameters, assembly, full, shooting, unknowns, box)
+        shooting, unknowns = build_problem(assembly, self.data, self.options, full, self.states)
+        shooting = self._with_extra_terms(assembly, parameters, shooting, unknowns)
+        return PosedProblem(self, start, window, parameters, assembly, full, shooting, unknowns)
 
     def cut_anew(self, problem: PosedProblem, unknowns: FloatArray) -> PosedProblem:
         """Return a problem of another task with the courses of this one, at the same point and with the same scales.
@@ -125,8 +125,9 @@ class FitTask:
         shooting = replace(problem.shooting, parts=assembly.parts, links=assembly.links, extra=None)
         theta, starts = problem.shooting.unpack(unknowns)
         unknowns = shooting.pack(theta, starts_from(problem.shooting, theta, starts, shooting))
-        shooting, box = self._bounded(assembly, problem.parameters, shooting, unknowns)
-        return replace(problem, task=self, assembly=assembly, shooting=shooting, unknowns=unknowns, box=box)
+        shooting = bounded(shooting, assembly, self.states)
+        shooting = self._with_extra_terms(assembly, problem.parameters, shooting, unknowns)
+        return replace(problem, task=self, assembly=assembly, shooting=shooting, unknowns=unknowns)
 
     def assembled(
         self, start: Mapping[str, float], parameters: tuple[Parameter, ...], window: int | None
@@ -148,12 +149,10 @@ class FitTask:
         )
         return structure, begin, assembly
 
-    def _bounded(
+    def _with_extra_terms(
         self, assembly: Assembly, parameters: tuple[Parameter, ...], shooting: Shooting, unknowns: FloatArray
-    ) -> tuple[Shooting, Box]:
-        """Return the problem with the terms and constraints of the caller, and the bounds of its unknowns."""
-        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, self.options)
-        return shooting, unknown_bounds(shooting, assembly, self.states)
+    ) -> Shooting:
+        return with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, self.options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +177,6 @@ class PosedProblem:
         The problem.
     unknowns : (n_unknowns,) array
         Start, scaled.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds, scaled.
     """
 
     task: FitTask
@@ -190,7 +187,6 @@ class PosedProblem:
     begin: dict[str, float]
     shooting: Shooting
     unknowns: FloatArray
-    box: Box
 
 
 def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
@@ -336,24 +332,24 @@ def minimise(problem: PosedProblem) -> Optimum:
     finely as the estimates need; last come the weights of a robust loss, or a model of the
     errors.
     """
-    task, box = problem.task, problem.box
+    task = problem.task
 
-    def run(start: FloatArray, shooting: Shooting | None = None) -> Solution:
-        return solve(shooting or problem.shooting, start, *box, task.options)
+    def run(start: FloatArray, shooting: Shooting = problem.shooting) -> Solution:
+        return solve(shooting, start, task.options)
 
     def is_coarse(unknowns: FloatArray) -> bool:
-        ahead.append(refinement(problem.shooting, unknowns, box))
+        ahead.append(refinement(problem.shooting, unknowns))
         return ahead[0].off > TOLERATED
 
     predictor, ahead = problem.shooting.groups[0].predictor, list[Refinement]()
     adapts = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
-    notes, start = tuple[str, ...](), np.clip(problem.unknowns, *box)
+    notes, start = tuple[str, ...](), problem.unknowns
     if not problem.shooting.parts:
-        start = _nearer(problem.shooting, start, box)
-    solution = solve(problem.shooting, start, *box, task.options, is_coarse if adapts else None)
+        start = _nearer(problem.shooting, start)
+    solution = solve(problem.shooting, start, task.options, is_coarse if adapts else None)
     first = solution.history[0].cost if solution.history else np.nan
     for _ in range(_ROUNDS):
-        better = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
+        better = lower_elsewhere(problem.shooting, solution.unknowns) if solution.status.success else None
         if better is None:
             break
         other, iterations = run(better), solution.iterations
@@ -366,11 +362,12 @@ def minimise(problem: PosedProblem) -> Optimum:
             break
     if task.courses is not None:
         problem, solution, shift = _cut_finely(problem, solution, task.courses)
-        shooting, box = problem.shooting, problem.box
+        shooting = problem.shooting
     else:
-        shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run, ahead)
+        shooting, solution, shift = integrated_finely(problem.shooting, solution, run, ahead)
+    start = np.clip(problem.unknowns, *shooting.box)
     if kind_of(task.structure).nonlinear:
-        solution = _without_gaps(shooting, np.clip(problem.unknowns, *box), solution, first)
+        solution = _without_gaps(shooting, start, solution, first)
     if solution.status.success:
         shooting, solution = _with_kalman_gains(shooting, solution, run)
     reweighted = weighted = None
@@ -379,8 +376,8 @@ def minimise(problem: PosedProblem) -> Optimum:
     if task.options.errors == "ar" and solution.status.success:
         windows, known = problem.assembly.record_window, task.states.in_shooting(shooting.n_states)
         names = tuple(q.name for q in problem.assembly.free)
-        weighting = WeightedProblem(shooting, box, windows, known, task.options, names)
-        weighted, solution = weighted_solution(weighting, solution, np.clip(problem.unknowns, *box))
+        weighting = WeightedProblem(shooting, windows, known, task.options, names)
+        weighted, solution = weighted_solution(weighting, solution, start)
         notes = (*notes, *weighted.notes)
     return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
 
@@ -388,10 +385,10 @@ def minimise(problem: PosedProblem) -> Optimum:
 _FAR = 0.3  # part of a response that counts as its error at first: far from a resonance its slopes lead nowhere
 
 
-def _nearer(shooting: Shooting, start: FloatArray, box: Box) -> FloatArray:
+def _nearer(shooting: Shooting, start: FloatArray) -> FloatArray:
     """Return the start of a fit to responses, or the solution with wide errors, whichever has the lower cost."""
     wide = replace(shooting, responses=tuple(replace(each, relative=_FAR) for each in shooting.responses))
-    points = start, solve(wide, start, *box).unknowns
+    points = start, solve(wide, start).unknowns
     return min(points, key=lambda unknowns: shooting.at(unknowns).cost)
 
 
@@ -471,7 +468,7 @@ def _cut_finely(
         if not (remaining and off > TOLERATED and finer.schedule.pieces > courses.schedule.pieces):
             break
         posed = replace(problem.task, courses=finer).cut_anew(problem, solution.unknowns)
-        refined = solve(posed.shooting, np.clip(posed.unknowns, *posed.box), *posed.box, problem.task.options)
+        refined = solve(posed.shooting, posed.unknowns, problem.task.options)
         if not refined.status.success:
             break
         courses, problem = finer, posed
@@ -483,12 +480,12 @@ def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> 
     """Return how far the estimates move with other pieces, (n_theta,), and the same in standard deviations."""
     here, at = problem.shooting, solution.unknowns
     other = replace(problem.task, courses=courses).cut_anew(problem, at)
-    shooting, start, (lower, upper) = other.shooting, other.unknowns, other.box
+    shooting, start, (lower, upper) = other.shooting, other.unknowns, other.shooting.box
     iterate, estimates = shooting.at(start), np.arange(len(start)) < here.n_theta
     held = np.where(estimates, start, lower), np.where(estimates, start, upper)
     try:
-        before = gauss_newton_step(here, here.at(at), at, problem.box)
-        after = gauss_newton_step(shooting, iterate, start, other.box)
+        before = gauss_newton_step(here, here.at(at), at)
+        after = gauss_newton_step(shooting, iterate, start)
         # Beside the motion of the estimates, the states close the gaps that the other pieces open.
         closing = gauss_newton_step(shooting, iterate, start, held)
     except (RuntimeError, ValueError):
@@ -551,7 +548,7 @@ def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
     return not neighbours(problem, unknowns) < _STRONGLY
 
 
-def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray | None:
+def lower_elsewhere(problem: Shooting, unknowns: FloatArray) -> FloatArray | None:
     """Return a point of lower cost with another disturbance gain and all else as it is.
 
     Each gain is plus or minus the largest of them: sixteen points for the four gains of a bearing.
@@ -561,7 +558,7 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatA
     (n_unknowns,) array or None
         None where errors are not strongly coloured, or no point of the grid is lower.
     """
-    lower, upper = box
+    lower, upper = (edge[: problem.n_theta] * problem.theta_scale for edge in problem.box)
     gains = [i for i in problem.noise if lower[i] < upper[i] and problem.prior.information[i] == 0]
     if not (0 < len(gains) <= _MOST_GAINS and strongly_coloured(problem, unknowns)):
         return None
@@ -571,7 +568,7 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatA
     size = np.abs(theta[gains]).max()
     for signs in product((-1.0, 1.0), repeat=len(gains)):
         candidate = theta.copy()
-        candidate[gains] = np.clip(size * np.array(signs), *(edge[gains] * problem.theta_scale[gains] for edge in box))
+        candidate[gains] = np.clip(size * np.array(signs), lower[gains], upper[gains])
         cost = joined.cost_alone(candidate, starts)
         if cost < least:
             least, best = cost, candidate

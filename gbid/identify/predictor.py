@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Never
 
 import casadi as ca
@@ -65,8 +65,6 @@ class GeneralPredictor(ABC):
         Time between samples [s].
     released : bool
         Whether initial states are functions of the parameters. They act like an impulse at the first sample.
-    spare : int
-        Number of states, the last ones, that are zero and without effect; see `with_spare_states`.
     intervals : (n_steps,) array or None
         Different intervals between irregular times [s]; None where all are `sample_time`.
     """
@@ -85,7 +83,6 @@ class GeneralPredictor(ABC):
     walks: tuple[int, ...]
     sample_time: float
     released: bool
-    spare: int = field(default=0, kw_only=True)
     intervals: FloatArray | None = field(default=None, kw_only=True)
 
     @property
@@ -96,7 +93,7 @@ class GeneralPredictor(ABC):
     @property
     def _has_impulse(self) -> bool:
         """Whether an impulse is a regressor: for released states, and with zeros as its columns for a free decay."""
-        driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns
+        driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.terms
         return self.released or not driven
 
     def regressors(
@@ -126,7 +123,7 @@ class GeneralPredictor(ABC):
         for i, d in zip(self.delayed, shift, strict=True):
             lagged += [(i, lag) for lag in range(d - 1 if self.holds[i] == "foh" else d, d + 2)]
         interval, others = [] if time is None else [self._interval_column(time)], []
-        if self.disturbances.n_columns:
+        if self.disturbances.terms:
             even = np.asarray(self.sample_time * np.arange(n), np.float64)
             others.append(self.disturbances.regressors(even if time is None else time))
         if self._has_impulse:
@@ -300,8 +297,7 @@ class Predictor(GeneralPredictor):
 
     def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
-        values = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
-        return _with_zero_states(values, self.spare) if self.spare else values
+        return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
 
     def _without_errors(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[LoopParts, Dual, list[int]]:
         """Return the structure in discrete time before errors are fed back, its initial state, and samples in delays.
@@ -358,8 +354,7 @@ class Predictor(GeneralPredictor):
         B_delayed = late @ by_input[list(self.delayed)]
         none = constant(np.zeros((A.shape[0], self.n_outputs)), len(self.free))
         K = acting.columns(slice(-self.n_outputs, None)) if self.feeds_back else none
-        # the states of random walks are the last, but for spare ones
-        states = slice(self.n_states - self.spare - len(self.disturbances.walking))
+        states = slice(self.n_states - len(self.disturbances.walking))  # those of random walks are the last
         if self.feedback is not None:
             (A, B, C, D, K), _, _ = self._without_errors(theta)
             B, D = (part.columns(slice(0, self.n_inputs)) for part in (B, D))
@@ -376,7 +371,7 @@ class Predictor(GeneralPredictor):
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        return np.pad(self._evaluate(theta)[4].value[:, 0], (0, self.spare))
+        return self._evaluate(theta)[4].value[:, 0]
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         return self._split(*self._numbers(theta), np.ndim(theta))
@@ -564,18 +559,6 @@ def refuse_irregular(structure: str, what: str) -> Never:
         "computed. Take rational delays (pade_order=2), or, where all times are multiples of a resolution of the "
         "clock, import the samples onto this grid (gaps: missing, and the resolution as sample_time_s)"
     )
-
-
-def with_spare_states(predictor: Predictor, n_states: int) -> Predictor:
-    """Return a predictor with spare states, zero and without effect, so that all of a problem have as many."""
-    return replace(predictor, n_states=n_states, spare=predictor.spare + n_states - predictor.n_states)
-
-
-def _with_zero_states(v: PredictorValues, count: int) -> PredictorValues:
-    row, column, both = [(0, count), (0, 0)], [(0, 0), (0, count)], [(0, count)] * 2
-    slopes = zip((v.dF, v.dG, v.dC), (both, row, column), strict=True)
-    dF, dG, dC = (np.pad(slope, [(0, 0), *width]) for slope, width in slopes)
-    return PredictorValues(np.pad(v.F, both), np.pad(v.G, row), np.pad(v.C, column), v.H, dF, dG, dC, v.dH, v.shift)
 
 
 def _driven(matrix: ca.SX) -> list[int]:

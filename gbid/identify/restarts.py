@@ -353,8 +353,7 @@ def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
     A parameter with local values begins at their mean.
     """
     problem = task.problem(task.begin.values, window)
-    begin = np.clip(problem.unknowns, *problem.box)
-    theta, _ = problem.shooting.unpack(solve_apart(problem.shooting, begin, problem.box, _ROUGHLY))
+    theta, _ = problem.shooting.unpack(solve_apart(problem.shooting, problem.unknowns, _ROUGHLY))
     every: dict[str, list[float]] = {}
     for q, value in zip(problem.assembly.free, theta.tolist(), strict=True):
         every.setdefault(problem.assembly.own_names.get(q.name, q.name), []).append(value)
@@ -409,7 +408,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
         problem = replace(observed, structure=with_gain(linear, gain)).problem(
             values, automatic_window(data, "prediction", kind_of(linear).anatomy().n_states)
         )
-        solution = solve(problem.shooting, np.clip(problem.unknowns, *problem.box), *problem.box, observed.options)
+        solution = solve(problem.shooting, problem.unknowns, observed.options)
         theta, _ = problem.shooting.unpack(solution.unknowns)
         if np.isfinite(theta).all():
             values |= {q.name: float(v) for q, v in zip(problem.assembly.free, theta, strict=True)}

@@ -164,8 +164,9 @@ def test_scaling_does_not_move_the_optimum_of_the_rotor(rotor, rotor_fit, window
     problem = task.problem(task.begin.values, window)
     ones = np.ones(problem.shooting.n_theta), np.ones(problem.shooting.n_states)
     unscaled = replace(problem.shooting, theta_scale=ones[0], state_scale=ones[1])
-    box = [unscaled.pack(*problem.shooting.unpack(x)) for x in (problem.unknowns, *problem.box)]
-    theta, starts = unscaled.unpack(solve(unscaled, *box).unknowns)
+    points = problem.unknowns, *problem.shooting.box
+    start, *box = (unscaled.pack(*problem.shooting.unpack(x)) for x in points)
+    theta, starts = unscaled.unpack(solve(replace(unscaled, box=tuple(box)), start).unknowns)
     computed = dict(zip((q.name for q in problem.assembly.free), theta, strict=True))
     products = unscaled.error_products(unscaled.values(theta), starts) / unscaled.n_samples
     assert np.linalg.det(products) == pytest.approx(rotor_fit.loss, rel=1e-6)

@@ -1,6 +1,7 @@
 """A success is an estimate: finite, at rest, determined, and better than a constant."""
 
 import warnings
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -99,23 +100,23 @@ def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name):
     result = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
     task = pose(problem.structure, problem.recording, FitArguments(start=problem.true, **problem.options))
     problem_at_truth = task.problem(problem.true, result.options.window)
-    shooting, box = problem_at_truth.shooting, problem_at_truth.box
+    shooting = problem_at_truth.shooting
     theta = np.array([result.parameters[name] for name in result.free])
     shift = 0.01 * np.sqrt(np.diag(result.covariance_white))
     first, _ = shooting.unpack(shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states))))
     assert first == pytest.approx(theta)
     expected = np.sqrt(shift @ np.linalg.solve(result.covariance_white, shift))
     assert result.optimality < 0.01
-    distance = _distance_when_moved(shooting, box, theta + shift)
+    distance = _distance_when_moved(shooting, theta + shift)
     assert distance == pytest.approx(expected, rel=0.2)  # of the exact Hessian; the step is that of Gauss-Newton
 
 
-def _distance_when_moved(shooting, box, theta):
+def _distance_when_moved(shooting, theta):
     """Distance from rest with the window starts that are best at these parameters."""
     unknowns = shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states)))
-    lower, upper = (edge.copy() for edge in box)
+    lower, upper = (edge.copy() for edge in shooting.box)
     lower[: shooting.n_theta] = upper[: shooting.n_theta] = unknowns[: shooting.n_theta]
-    return distance_from_rest(shooting, solve(shooting, unknowns, lower, upper).unknowns, box)
+    return distance_from_rest(shooting, solve(replace(shooting, box=(lower, upper)), unknowns).unknowns)
 
 
 def test_a_solution_that_has_not_come_to_rest_is_solved_on(best, monkeypatch):

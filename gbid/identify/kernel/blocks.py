@@ -348,12 +348,15 @@ def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
 
 def in_groups(parts: Iterable[FloatArray], length: int, n_groups: int) -> FloatArray:
     """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
-    pieces = (part[first : first + length] for part in parts for first in range(0, len(part), length))
-    for block, piece in enumerate(pieces):
+    block = 0
+    for part in parts:
         if not block:
-            groups = np.zeros((n_groups, length, piece.shape[1], LANES))
+            groups = np.zeros((n_groups, length, part.shape[1], LANES))
             by_block = groups.transpose(0, 3, 1, 2)
-        by_block[block // LANES, block % LANES, : len(piece)] = piece
+        for first in range(0, len(part), length):
+            piece = part[first : first + length]
+            by_block[block // LANES, block % LANES, : len(piece)] = piece
+            block += 1
     return groups
 
 

@@ -518,11 +518,11 @@ class CompiledPasses(Kernel):
         self.run_forwards(v, blocks, begin, [None, None, end, np.empty((n_groups, n_y, n_y, lanes))])
         return end.transpose(1, 0, 2).reshape(n, -1)
 
-    def products_of(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
+    def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the products of the errors of each block; see `Kernel`."""
         n_groups, _, n_y, lanes = blocks.y.shape
         products = np.empty((n_groups, n_y, n_y, lanes))
-        self.run_forwards(v, blocks, begin, [None, None, None, products])
+        self.run_forwards(v, blocks, self.begin(v, blocks, starts), [None, None, None, products])
         return per_block(products)
 
 

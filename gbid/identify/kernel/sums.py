@@ -343,11 +343,7 @@ class Kernel(ABC):
 
     def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""
-        return self.products_of(v, blocks, self.begin(v, blocks, starts))
-
-    def products_of(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
-        """Return the products of the errors of each block from the starts of the blocks."""
-        return self.passed(v, blocks, begin).products
+        return self.predict(v, blocks, starts).products
 
     @abstractmethod
     def gradient(self, v: Any, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:

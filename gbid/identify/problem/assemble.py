@@ -17,7 +17,7 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
 from gbid.core.compiled import CompilerMissingError
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import Hold, distinct_steps
+from gbid.discretise import distinct_steps
 from gbid.identify.data import FitData, Record, column_variances
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.frequency_data import FrequencyData
@@ -37,7 +37,7 @@ from gbid.identify.kernel.response import ResponseGroup
 from gbid.identify.kernel.sample import NonlinearPredictor, build_nonlinear_predictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
 from gbid.identify.options import FitArguments, Focus, RunEngine, Scope
-from gbid.identify.predictor import GeneralPredictor, Predictor, build_predictor, with_spare_states
+from gbid.identify.predictor import GeneralPredictor, Predictor, build_predictor
 from gbid.identify.problem.nlp import ExtraTerms, Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
 from gbid.structure import AnyStructure, Parameter, Values, kind_of
@@ -48,7 +48,7 @@ from gbid.structure.linear import in_one_line
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """In piece i the parameters `names` have the values ``maps[i] @ shared + lift @ own``; a record has some pieces.
+    """In piece i the parameters `names` have the values ``maps[i] @ shared``; a record has some pieces.
 
     Attributes
     ----------
@@ -57,24 +57,17 @@ class Ties:
     shared : tuple of Parameter
         The unknowns in their place.
     maps : (n_pieces, n_names, n_shared) array
-    own : tuple of Parameter
-        Further unknowns, which each record has for itself; there may be none.
-    lift : (n_names, n_own) array
     edges : tuple of tuple of int
-        For each record the first samples of its pieces after the first one; empty when every record is one piece.
+        For each record the first samples of its pieces after the first one.
     """
 
     names: tuple[str, ...]
     shared: tuple[Parameter, ...]
     maps: FloatArray
-    own: tuple[Parameter, ...]
-    lift: FloatArray
-    edges: tuple[tuple[int, ...], ...] = ()
+    edges: tuple[tuple[int, ...], ...]
 
     def pieces(self, record: int) -> tuple[int, tuple[int, ...]]:
         """Return the number of the first piece of a record, and the first samples of its other pieces."""
-        if not self.edges:
-            return record, ()
         return sum(len(own) + 1 for own in self.edges[:record]), self.edges[record]
 
 
@@ -87,7 +80,7 @@ def tie_of(
     ----------
     predictor : GeneralPredictor
     names : dict of str to str
-        Full names of its parameters that are not tied, and of what it has for itself.
+        Full names of its parameters that are not tied.
     position : dict of str to int
         Place of each unknown by full name.
     ties : Ties
@@ -103,10 +96,9 @@ def tie_of(
     others = [i for i, q in enumerate(predictor.free) if q.name not in names]
     rows, n_shared = [ties.names.index(predictor.free[i].name) for i in others], len(ties.shared)
     seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in apart]
-    seen += [names[q.name] for q in ties.own]
     tie = np.zeros((len(predictor.free), len(seen)))
     tie[apart, n_shared + np.arange(len(apart))] = 1.0
-    tie[others, :n_shared], tie[others, n_shared + len(apart) :] = ties.maps[piece][rows], ties.lift[rows]
+    tie[others, :n_shared] = ties.maps[piece][rows]
     return tuple(position[name] for name in seen), tie
 
 
@@ -200,19 +192,13 @@ class Member(NamedTuple):
     tie: FloatArray | None
 
 
-class Grouped(NamedTuple):
-    """Parts of a problem, its links, the first windows of its records, and notes on its kernels; as in `Assembly`."""
+def grouped(
+    members: Sequence[Member], window: int | None, begin: Mapping[str, float]
+) -> tuple[tuple[RecordGroup, ...], IntArray, IntArray, tuple[str, ...]]:
+    """Return parts, links, first windows of the records and notes on the kernels; see `Assembly`.
 
-    parts: tuple[RecordGroup, ...]
-    links: IntArray
-    record_window: IntArray
-    notes: tuple[str, ...]
-
-
-def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, float]) -> Grouped:
-    """Return the groups of segments with the same predictor and parameters, cut into windows of so many samples.
-
-    `begin` are start values, at which the entries of a predictor are found that are zero for good.
+    A part has the segments with the same predictor and parameters, cut into windows of so many samples. `begin` are
+    start values, at which the entries of a predictor are found that are zero for good.
     """
     groups: dict[tuple[int, tuple[int, ...], bytes], list[int]] = {}
     for i, (_, _, predictor, index, tie) in enumerate(members):
@@ -248,7 +234,7 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
         links += pairwise(range(first, last + 1))
         before = last
     pairs, begins = np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()], np.int64)
-    return Grouped(tuple(parts), pairs, begins, tuple(notes))
+    return tuple(parts), pairs, begins, tuple(notes)
 
 
 def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) -> bool:
@@ -288,13 +274,6 @@ _MOST_STATES = 1536
 """Most states at the starts of all windows: with more, the factorisations of the solver take most of the time."""
 _WITH_GAPS = 64
 """Samples in a window where outputs are missing or times irregular: numpy runs all windows side by side."""
-
-
-class OwnStructure(NamedTuple):
-    """Structure of one record, with the behaviour of its inputs between samples."""
-
-    structure: AnyStructure
-    intersample: Hold | Sequence[Hold]
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,7 +327,7 @@ class Assembly:
 
 
 def assemble(
-    structure: AnyStructure | Sequence[OwnStructure],
+    structure: AnyStructure,
     parameters: tuple[Parameter, ...],
     begin: Mapping[str, float],
     data: FitData,
@@ -363,9 +342,8 @@ def assemble(
 
     Parameters
     ----------
-    structure : Structure or sequence of OwnStructure
-        Structure of the fit; or a linear one for each record, with `parameters` of all of them. Names that they share
-        are shared.
+    structure : Structure
+        Structure of the fit.
     parameters : tuple of Parameter
         Its parameters, with the starts, bounds and fixed values of the caller.
     begin : dict of str to float
@@ -391,17 +369,11 @@ def assemble(
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
     known = {q.name: q for q in parameters}
     focus, local, left_out = options.focus, options.local or {}, options.left_out or {}
-    if isinstance(structure, Sequence):
-        each = list(structure)
-    else:
-        hold = structure.intersample if options.intersample is None else options.intersample
-        each = [OwnStructure(structure, hold)] * max(1, len(data.records))
-    model_of = [each.index(chosen) for chosen in each]  # first record with the structure of each
+    hold = structure.intersample if options.intersample is None else options.intersample
     intervals = distinct_steps(*(r.time for r in data.records if r.time is not None)) if data.is_irregular else None
 
     @cache
-    def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
-        structure, hold = each[model]
+    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> GeneralPredictor:
         more: dict[str, Any] = {"disturbances": disturbances, "released": released, "intervals": intervals}
         build: Callable[..., GeneralPredictor] = build_predictor
         if kind_of(structure).nonlinear:
@@ -409,68 +381,55 @@ def assemble(
         built = build(structure, held, sample_time=data.sample_time, intersample=hold, focus=kind, **more)
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
-    @cache
-    def filled(chosen: GeneralPredictor) -> GeneralPredictor:
-        """Return the predictor with as many states as the largest."""
-        if chosen.n_states == n_states:
-            return chosen
-        assert isinstance(chosen, Predictor)
-        return with_spare_states(chosen, n_states)
-
-    own_released = [()] * len(each) if released is None or not released.any() else [*map(tuple, released)]
-    first = {model: predictor_for(focus, own_released[model], model) for model in dict.fromkeys(model_of)}
-    for record, model in zip(data.records, model_of, strict=False):
-        _check_channels(each[model].structure, first[model], record, data)
-    n_states = max(built.n_states for built in first.values())
-    all_free = list({q.name: q for built in first.values() for q in built.free}.values())
+    own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
+    first = predictor_for(focus, next(iter(own_released), ()))
+    if data.records:
+        _check_channels(structure, first, data)
     scopes: dict[str, Scope] = {**local, **dict.fromkeys((term.name for term in disturbances.terms), "recording")}
-    if unknown := [name for name in scopes if name not in [q.name for q in all_free]]:
+    if unknown := [name for name in scopes if name not in [q.name for q in first.free]]:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
     if strangers := [name for name in left_out if name not in [record.name for record in data.records]]:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
     if scopes or left_out or ties is not None:
         _check_names(data)
-    bound = ties.names if ties else ()
+    own = [q for q in first.free if ties is None or q.name not in ties.names]
     record_names: tuple[Mapping[str, str], ...] = tuple(
         {
-            q.name: f"{q.name}[{group_name(record, scopes[q.name])}]" if q.name in scopes and len(each) > 1 else q.name
-            for q in first[model].free
-            if q.name not in bound
+            q.name: f"{q.name}[{group_name(record, scopes[q.name])}]"
+            if q.name in scopes and len(data.records) > 1
+            else q.name
+            for q in own
         }
-        for record, model in zip(data.records, model_of, strict=False)
+        for record in data.records
     )
-    free = _all_free(all_free, record_names) if record_names else tuple(all_free)
+    free = _all_free(own, record_names) if record_names else tuple(own)
     if ties is not None:
-        record_names = tuple(
-            {**names, **{q.name: f"{q.name}[{record.name}]" for q in ties.own}}
-            for names, record in zip(record_names, data.records, strict=True)
-        )
-        free = (*ties.shared, *free, *_all_free(ties.own, record_names))
+        free = (*ties.shared, *free)
     position = {q.name: i for i, q in enumerate(free)}
     members = []
-    for i, (record, names, model) in enumerate(zip(data.records, record_names, model_of, strict=False)):
+    for i, (record, names) in enumerate(zip(data.records, record_names, strict=True)):
         first_piece, edges = (i, ()) if ties is None else ties.pieces(i)
-        feeds_back = first[model].feeds_back
+        feeds_back = first.feeds_back
         for segment, piece in segments_of(record, left_out.get(record.name, ()), edges, feeds_back=feeds_back):
             kind: Focus = "simulation" if feeds_back and segment.is_left_out else focus
-            chosen = filled(predictor_for(kind, own_released[i], model))
+            chosen = predictor_for(kind, own_released[i])
             if ties is None:
                 index, tie = tuple(position[names[q.name]] for q in chosen.free), None
             else:
                 index, tie = tie_of(chosen, names, position, ties, first_piece + piece)
             members.append(Member(i, segment, chosen, index, tie))
-    window = automatic_window(data, focus, n_states) if options.window == "auto" else options.window
+    window = automatic_window(data, focus, first.n_states) if options.window == "auto" else options.window
     parts, links, record_window, notes = grouped(members, window, begin)
-    shared, groups = first[0], tuple[ResponseGroup, ...]()
+    groups = tuple[ResponseGroup, ...]()
     if responses:
-        if len(parts) > 1 or local or not isinstance(shared, Predictor):
+        if len(parts) > 1 or local or not isinstance(first, Predictor):
             raise UsageError("frequency responses are fitted together with recordings that share all parameters")
-        groups = tuple(ResponseGroup(each, shared, np.arange(len(free))) for each in responses)
-    return Assembly(parts, groups, links, free, shared.unused, record_window, record_names, notes)
+        groups = tuple(ResponseGroup(each, first, np.arange(len(free))) for each in responses)
+    return Assembly(parts, groups, links, free, first.unused, record_window, record_names, notes)
 
 
-def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record: Record, data: FitData) -> None:
-    n_inputs, n_outputs = record.inputs.shape[1], record.outputs.shape[1]
+def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, data: FitData) -> None:
+    n_inputs, n_outputs = data.records[0].inputs.shape[1], data.records[0].outputs.shape[1]
     if (predictor.n_inputs, predictor.n_outputs) != (n_inputs, n_outputs):
         names = f" ({', '.join(data.input_names)})" if n_inputs == len(data.input_names) else ""
         raise UsageError(
@@ -556,7 +515,11 @@ def full_start(
 
 
 def build_problem(
-    assembly: Assembly, data: FitData, options: FitArguments, begin: Mapping[str, float]
+    assembly: Assembly,
+    data: FitData,
+    options: FitArguments,
+    begin: Mapping[str, float],
+    states: InitialStates | None = None,
 ) -> tuple[Shooting, FloatArray]:
     """Scale the unknowns, and find window starts for the start values.
 
@@ -568,6 +531,8 @@ def build_problem(
         Options of the fit: `criterion`, `output_weights` and `prior`.
     begin : dict of str to float
         Start values by full name.
+    states : InitialStates, optional
+        Initial states of the records; by default all are estimated.
 
     Returns
     -------
@@ -600,7 +565,7 @@ def build_problem(
     curvature = np.diag(problem.known(theta).hessian) / problem.likelihood_size
     if not assembly.parts:
         problem = replace(problem, theta_scale=_scales(theta, curvature))
-        return problem, problem.pack(theta, np.zeros((0, 0)))
+        return bounded(problem, assembly, states), problem.pack(theta, np.zeros((0, 0)))
     values, weight = problem.values(theta), np.diag(weights) / power
     starts = np.zeros((problem.n_windows, n))
     size, sweeps = _sizes_of_states(problem, values, starts), problem.sweeps(values, starts, weight)
@@ -619,7 +584,8 @@ def build_problem(
         for s, part in zip(sweeps, problem.parts, strict=True):
             curvature[part.index] += unit * np.diag(s.hessian)
     problem = replace(problem, theta_scale=_scales(theta, curvature), state_scale=state_scale)
-    return replace(problem, stable_only=problem.growth(values, sweeps) <= 1), problem.pack(theta, starts)
+    problem = replace(problem, stable_only=problem.growth(values, sweeps) <= 1)
+    return bounded(problem, assembly, states), problem.pack(theta, starts)
 
 
 def _scales(theta: FloatArray, curvature: FloatArray) -> FloatArray:
@@ -664,19 +630,15 @@ def _nonlinear_starts(
     return np.concatenate(starts), sweeps
 
 
-def unknown_bounds(
-    problem: Shooting, assembly: Assembly, states: InitialStates | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the scaled bounds of all unknowns; given and spare initial states are fixed."""
+def bounded(problem: Shooting, assembly: Assembly, states: InitialStates | None) -> Shooting:
+    """Return a problem with the bounds of its unknowns; given initial states are fixed."""
     fixed = np.full((problem.n_windows, problem.n_states), np.nan)
-    for part, begin in zip(problem.parts, problem.by_part(fixed), strict=True):
-        begin[:, problem.n_states - part.predictor.spare :] = 0.0
     if states is not None:
         fixed[assembly.record_window, : assembly.n_states] = states.shooting
     lowest, highest = (np.where(np.isnan(fixed), free, fixed) for free in (-inf, inf))
     lower = problem.pack(np.array([q.lower for q in assembly.free]), lowest)
     upper = problem.pack(np.array([q.upper for q in assembly.free]), highest)
-    return lower, upper
+    return replace(problem, box=(lower, upper))
 
 
 def window_length(problem: Shooting) -> int:

@@ -53,7 +53,9 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     n, n_t = problem.n_states, problem.n_theta
     starts = (n_t + first_windows[:, None] * n + np.arange(n)).ravel()
     extra = extra and replace(extra, windows=segment_of[extra.windows])
-    return replace(problem, parts=tuple(parts), links=links, extra=extra), np.concatenate([np.arange(n_t), starts])
+    kept = np.concatenate([np.arange(n_t), starts])
+    lower, upper = problem.box
+    return replace(problem, parts=tuple(parts), links=links, extra=extra, box=(lower[kept], upper[kept])), kept
 
 
 def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from gbid.discretise.dual import Dual
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.problem.nlp import Shooting
-from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations
+from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations
 from gbid.identify.result import FitStatus
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
@@ -29,7 +29,6 @@ ROUNDS = 3
 def integrated_finely(
     problem: Shooting,
     solution: Solution,
-    box: Box,
     run: Callable[[FloatArray, Shooting], Solution],
     known: Sequence[Refinement] = (),
 ) -> tuple[Shooting, Solution, FloatArray | None]:
@@ -41,8 +40,6 @@ def integrated_finely(
         Problem of the fit, linear or not.
     solution : Solution
         Its solution; one that is converged acceptably is solved on at the end.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds of the unknowns, scaled.
     run : callable
         Solves, from a start, a problem.
     known : sequence of Refinement
@@ -60,7 +57,7 @@ def integrated_finely(
     predictor = problem.groups[0].predictor
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
-    steps, ahead = predictor.steps, known[0] if known else refinement(problem, solution.unknowns, box)
+    steps, ahead = predictor.steps, known[0] if known else refinement(problem, solution.unknowns)
     for _ in range(ROUNDS if predictor.adapts else 0):
         if not solution.status.success:
             break
@@ -72,10 +69,10 @@ def integrated_finely(
             problem, start = with_steps(problem, steps), start + (ahead.step if is_finite else 0.0)
         elif solution.status is not FitStatus.CONVERGED_ACCEPTABLY:
             break
-        refined = run(np.clip(start, *box), problem)
+        refined = run(start, problem)
         solution = replace(refined, iterations=solution.iterations + refined.iterations)
         if is_finer:
-            ahead = refinement(problem, solution.unknowns, box)
+            ahead = refinement(problem, solution.unknowns)
     return problem, solution, ahead.shift[: problem.n_theta] * problem.theta_scale
 
 
@@ -106,14 +103,14 @@ class Refinement(NamedTuple):
     off: float
 
 
-def refinement(problem: Shooting, unknowns: FloatArray, box: Box) -> Refinement:
+def refinement(problem: Shooting, unknowns: FloatArray) -> Refinement:
     """Return the way from a point (n_unknowns,) of a nonlinear problem to the solution with half the step."""
     predictor, iterate = problem.parts[0].predictor, problem.at(unknowns)
     assert isinstance(predictor, NonlinearPredictor)
     finer = with_steps(problem, 2 * predictor.steps)
     try:
-        here = gauss_newton_step(problem, iterate, unknowns, box)
-        step = gauss_newton_step(finer, finer.at(unknowns), unknowns, box)
+        here = gauss_newton_step(problem, iterate, unknowns)
+        step = gauss_newton_step(finer, finer.at(unknowns), unknowns)
     except (RuntimeError, ValueError):
         here, step = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
     return Refinement(step, step - here, in_standard_deviations(problem, iterate, step - here))

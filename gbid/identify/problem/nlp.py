@@ -66,6 +66,10 @@ class RecordGroup:
         return all(q.lower <= v <= q.upper for q, v in zip(free, self.own(theta).tolist(), strict=True))
 
 
+Box = tuple[FloatArray, FloatArray]
+"""Lower and upper bounds of the unknowns, (n_unknowns,), scaled."""
+
+
 class Iterate(NamedTuple):
     """Values at one point for the solver, in scaled units.
 
@@ -299,6 +303,8 @@ class Shooting:
         Prior knowledge of the parameters.
     extra : ExtraTerms or None
         Further cost and constraints of the caller.
+    box : Box
+        Bounds of the unknowns; given initial states are fixed by equal ones.
     stable_only : bool
         Whether unstable predictors are invalid: over a finite record they can have smaller errors than the stable one.
     """
@@ -313,6 +319,7 @@ class Shooting:
     state_scale: FloatArray
     prior: Prior
     extra: ExtraTerms | None = None
+    box: Box = (np.zeros(0), np.zeros(0))
     stable_only: bool = False
     _last: dict[bytes, Iterate] = field(init=False, default_factory=dict)
     _met: dict[bytes, list[Any]] = field(init=False, default_factory=dict)
@@ -442,8 +449,9 @@ class Shooting:
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
-        each = self.each(values, starts)
-        products = sum(part.kernel.products(v, part.blocks, begin).sum(axis=0) for v, part, begin in each)
+        products = np.zeros((len(self.output_weights),) * 2)
+        for v, part, begin in self.each(values, starts):
+            products += part.kernel.products(v, part.blocks, begin).sum(axis=0)
         return np.asarray(products + self.absent)
 
     @cached_property

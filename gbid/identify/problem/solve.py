@@ -18,7 +18,7 @@ from gbid.core.arrays import FloatArray, IntArray, one_solver
 from gbid.core.errors import GbidError, UsageError
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.hessian import Curvature, ExactHessian, gauss_newton, in_one_window, in_windows
-from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
+from gbid.identify.problem.nlp import Box, Iterate, Pattern, Shooting
 from gbid.identify.result import FitStatus, Phase
 
 # ---- Python functions as CasADi callbacks.
@@ -235,8 +235,6 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 # The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and within
 # the bounds. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
 
-Box = tuple[FloatArray, FloatArray]
-"""Lower and upper bounds of the unknowns, (n_unknowns,), scaled."""
 _ROUNDING = 1e-12  # of a curvature: for unknowns that the data do not tell
 _UNSEEN = 1e-10  # of the largest curvature
 _AT_BOUND = 1e-4  # scaled; of constraints
@@ -244,7 +242,7 @@ _SPRING = 1e8  # of an unknown's own curvature: half of the digits for the step,
 _MEETINGS = 10  # rounds in which a step meets further bounds
 
 
-def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> float:
+def distance_from_rest(problem: Shooting, unknowns: FloatArray) -> float:
     """Return the length of the next Gauss-Newton step in standard deviations of the estimates.
 
     Parameters
@@ -253,8 +251,6 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> flo
         Problem of the fit.
     unknowns : (n_unknowns,) array
         Scaled unknowns.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Their bounds, scaled.
 
     Returns
     -------
@@ -267,7 +263,7 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> flo
     if problem.extra is None and iterate.cost <= problem.exact_cost:
         return 0.0
     try:
-        step = gauss_newton_step(problem, iterate, unknowns, box)
+        step = gauss_newton_step(problem, iterate, unknowns)
     except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
         return np.inf
     return in_standard_deviations(problem, iterate, step)
@@ -281,12 +277,15 @@ def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArra
     return float(np.sqrt(max(square, 0.0) * problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
-def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> FloatArray:
-    """Return the step (n_unknowns,) from the sparse system of the optimality conditions; it ends at the bounds."""
-    return _bounded_step(problem, iterate, x, box)[0]
+def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box | None = None) -> FloatArray:
+    """Return the step (n_unknowns,) from the sparse system of the optimality conditions; it ends at the bounds.
+
+    These are those of the problem, or others.
+    """
+    return _bounded_step(problem, iterate, x, box or problem.box)[0]
 
 
-def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
+def forces_of_bounds(problem: Shooting, unknowns: FloatArray) -> FloatArray:
     """Return the slope of the log-likelihood across the bounds that hold parameters, (n_p,) [1/unit]; else zero.
 
     A force F holds a parameter with the standard deviation sigma: without its bound it would move on by ``F sigma^2``.
@@ -297,10 +296,8 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> Float
         Problem of the fit.
     unknowns : (n_unknowns,) array
         Its solution, scaled.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds, scaled.
     """
-    nothing, iterate = np.zeros(problem.n_theta), problem.at(unknowns)
+    nothing, iterate, box = np.zeros(problem.n_theta), problem.at(unknowns), problem.box
     if not (np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
         return nothing
     # A bound that is farther than the standard deviation with all others known is met along a valley, if at all.
@@ -497,7 +494,7 @@ class Watch:
 
     Attributes
     ----------
-    problem, options, interrupt, box
+    problem, options, interrupt
         Those of the run.
     earlier : sequence of Progress
         Iterations of the run before; empty for the first.
@@ -518,7 +515,6 @@ class Watch:
     problem: Shooting
     options: FitArguments
     interrupt: Interrupt
-    box: Box
     earlier: Sequence[Progress] = ()
     changes_over: bool = False
     ends_near: Callable[[FloatArray], bool] | None = None
@@ -585,7 +581,7 @@ class Watch:
         """
         if any(self.problem.parts_at_edge(self.problem.unpack(x)[0])):
             return True
-        self.rest = x, distance_from_rest(self.problem, x, self.box)
+        self.rest = x, distance_from_rest(self.problem, x)
         return self.rest[1] < TOLERANCES.step_ahead
 
 
@@ -661,8 +657,6 @@ _AT_REST = 0.01
 def solve(
     problem: Shooting,
     start: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
     options: FitArguments = FitArguments(),  # noqa: B008
     ends_near: Callable[[FloatArray], bool] | None = None,
 ) -> Solution:
@@ -677,8 +671,8 @@ def solve(
     Parameters
     ----------
     problem : Shooting
-    start, lower, upper : (n_unknowns,) array
-        Start and bounds, scaled.
+    start : (n_unknowns,) array
+        Start, scaled; the solver begins within the bounds.
     options : FitArguments
         Options of a fit: `stop`, `max_iterations`, `progress` and `ipopt`. "tolerance" stops by IPOPT's own test or at
         a step far below the estimates' standard deviations, whichever is met first; "paper" at a relative change of
@@ -697,16 +691,16 @@ def solve(
     Exception
         What `progress` raises.
     """
-    most = options.max_iterations
+    most, start = options.max_iterations, np.clip(start, *problem.box)
     with _interruptible() as interrupt:
-        runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
+        runs = _Runs(problem, gauss_newton, options, interrupt)
         first, watch = runs.run(start, most, changes_over=bool(problem.parts), ends_near=ends_near)
         if not watch.creeping:
             if not (ends_near and first.status is FitStatus.CONVERGED_ACCEPTABLY):
                 first = runs.at_rest(first, most)
             return replace(first, phases=(_phase(problem, first),))
         joined, kept = in_one_window(problem)
-        runs = _Runs(joined, (lower[kept], upper[kept]), ExactHessian, options, interrupt)
+        runs = _Runs(joined, ExactHessian, options, interrupt)
         most -= first.iterations
         last, _ = runs.run(first.unknowns[kept], most, earlier=first.history)
         last = runs.at_rest(last, most)
@@ -714,7 +708,7 @@ def solve(
     return replace(_continued(first, replace(last, unknowns=in_windows(problem, joined, last.unknowns))), phases=phases)
 
 
-def solve_apart(problem: Shooting, start: FloatArray, box: Box, most: int) -> FloatArray:
+def solve_apart(problem: Shooting, start: FloatArray, most: int) -> FloatArray:
     """Return the unknowns (n_unknowns,) of least cost with the gaps between windows left open.
 
     A short window ends before errors of the parameters have grown, so that the cost has few other minima, far from the
@@ -723,8 +717,8 @@ def solve_apart(problem: Shooting, start: FloatArray, box: Box, most: int) -> Fl
     """
     options = FitArguments(stop="paper", max_iterations=most)
     with _interruptible() as interrupt:
-        runs = _Runs(replace(problem, links=problem.links[:0]), box, gauss_newton, options, interrupt)
-        return runs.run(start, most)[0].unknowns
+        runs = _Runs(replace(problem, links=problem.links[:0]), gauss_newton, options, interrupt)
+        return runs.run(np.clip(start, *problem.box), most)[0].unknowns
 
 
 def _phase(problem: Shooting, solution: Solution) -> Phase:
@@ -743,10 +737,9 @@ def _continued(first: Solution, last: Solution) -> Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Runs:
-    """Runs of IPOPT on one problem, within bounds and with one kind of Hessian."""
+    """Runs of IPOPT on one problem with one kind of Hessian."""
 
     problem: Shooting
-    box: Box
     curvature: Callable[[Shooting], Curvature]
     options: FitArguments
     interrupt: Interrupt
@@ -762,8 +755,8 @@ class _Runs:
         ends_near: Callable[[FloatArray], bool] | None = None,
     ) -> tuple[Solution, Watch]:
         """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
-        problem, (lower, upper), trouble = self.problem, self.box, Trouble(most=TOLERANCES.farthest)
-        watch = Watch(problem, self.options, self.interrupt, self.box, earlier, changes_over, ends_near)
+        problem, (lower, upper), trouble = self.problem, self.problem.box, Trouble(most=TOLERANCES.farthest)
+        watch = Watch(problem, self.options, self.interrupt, earlier, changes_over, ends_near)
         functions = nlp_functions(problem, self.curvature(problem), trouble)
         n, m, names = problem.n_unknowns, len(functions.lower), ca.nlpsol_out()
         sizes = {"f": (1, 1), "x": (n, 1), "g": (m, 1), "lam_x": (n, 1), "lam_g": (m, 1), "lam_p": (0, 0)}
@@ -795,7 +788,7 @@ class _Runs:
         """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
         problem, rest, limit = self.problem, solution.rest, TOLERANCES
         if not np.isfinite(rest):  # else the watch has looked already
-            rest = distance_from_rest(problem, solution.unknowns, self.box)
+            rest = distance_from_rest(problem, solution.unknowns)
         if not solution.status.success or rest <= limit.rest:
             return replace(solution, rest=rest)
         if any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
@@ -806,7 +799,7 @@ class _Runs:
         left = max(1, most - solution.iterations)
         tolerance = limit.solver * limit.tighter
         last, _ = self.run(solution.unknowns, left, tolerance=tolerance, earlier=solution.history)
-        rest = distance_from_rest(problem, last.unknowns, self.box)
+        rest = distance_from_rest(problem, last.unknowns)
         status = FitStatus.STALLED if last.status.success and rest > limit.rest else last.status
         return _continued(solution, replace(last, status=status, rest=rest))
 

@@ -49,7 +49,7 @@ class InitialStates:
         return ~np.isnan(self.values) | self.released
 
     def in_shooting(self, n_states: int) -> BoolArray:
-        """Return `known` with spare states, which are estimated, (n_records, n_states)."""
+        """Return `known` with the offsets of random walks, which are estimated, (n_records, n_states)."""
         return np.pad(self.known, ((0, 0), (0, n_states - self.known.shape[1])))
 
     @property

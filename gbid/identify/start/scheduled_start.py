@@ -16,7 +16,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
 from gbid.identify.options import FitArguments, Focus
-from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start, unknown_bounds
+from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
@@ -96,7 +96,7 @@ class Courses:
         surfaces, known = self.schedule.surfaces, {q.name: q for q in parameters}
         maps = np.array([np.kron(np.eye(len(surfaces)), row) for row in np.concatenate(self.terms)])
         shared = tuple(known[name] for key in surfaces for name in self.schedule.names(key))
-        return Ties(surfaces, shared, maps, (), np.zeros((len(surfaces), 0)), self.edges)
+        return Ties(surfaces, shared, maps, self.edges)
 
 
 def _time_means(terms: FloatArray, ends: Sequence[int]) -> FloatArray:
@@ -201,8 +201,7 @@ def fit_part(
     options = replace(_OPTIONS, intersample=intersample, focus=focus)
     assembly = assemble(structure, parameters, begin, part, options)
     problem, unknowns = build_problem(assembly, part, options, full_start(assembly, begin))
-    lower, upper = unknown_bounds(problem, assembly)
-    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, options)
+    solution = solve(problem, unknowns, options)
     theta, starts = problem.unpack(solution.unknowns)
     values = problem.values(theta)
     products = problem.error_products(values, starts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -13,8 +13,8 @@ import scipy
 from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.hessian import in_one_window
-from gbid.identify.problem.nlp import Iterate, Shooting
-from gbid.identify.problem.solve import Box, gauss_newton_step, in_standard_deviations, solve
+from gbid.identify.problem.nlp import Box, Iterate, Shooting
+from gbid.identify.problem.solve import gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.result import Profile, Verdict
 from gbid.identify.uncertainty.covariance import Estimate, covariance, grows
 
@@ -206,19 +206,19 @@ class Profiler:
         return side
 
     @cached_property
-    def posed(self) -> tuple[Shooting, FloatArray, Box]:
-        """Problem, its solution and bounds: with one window for each segment, unless the model grows in it."""
+    def posed(self) -> tuple[Shooting, FloatArray]:
+        """Problem and its solution: with one window for each segment, unless the model grows in it."""
         at = self.estimate
         unknowns = at.problem.pack(at.theta, at.starts)
         if not at.problem.parts or grows(at):
-            return at.problem, unknowns, self.box
+            return at.problem, unknowns
         joined, kept = in_one_window(at.problem)
-        return joined, unknowns[kept], (self.box[0][kept], self.box[1][kept])
+        return joined, unknowns[kept]
 
     @cached_property
     def origin(self) -> ConstrainedFit:
         """Minimum of the cost with all parameters free: the solution, and the last steps that the solver left."""
-        problem, unknowns, _ = self.posed
+        problem, unknowns = self.posed
         begin = ConstrainedFit(unknowns, problem.at(unknowns), problem.at(unknowns).cost)
         minimum = self.constrained(begin, None, 0.0)
         return begin if minimum is None or np.isnan(minimum.cost) else minimum
@@ -232,7 +232,7 @@ class Profiler:
         does not converge. The first step is along the tangent of the path of the minima: Newton's, with the unknown
         where it is to be.
         """
-        problem, unknowns, (lower, upper) = self.posed
+        (problem, unknowns), (lower, upper) = self.posed, self.posed[0].box
         box, move, still = (lower.copy(), upper.copy()), np.zeros(len(unknowns)), np.zeros(len(unknowns))
         if j is not None:
             move[j] = change
@@ -261,7 +261,7 @@ class Profiler:
                     return ConstrainedFit(x, here, here.cost)
         except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
             pass
-        solution = solve(problem, np.clip(x, *box), *box, _BY_IPOPT)
+        solution = solve(replace(problem, box=box), x, _BY_IPOPT)
         here = problem.at(solution.unknowns)
         if problem.extra is not None and not problem.extra.violation(here.extra_rows) < WALK.feasible:
             return None
