@@ -78,6 +78,15 @@ def test_the_last_pass_over_the_windows_has_the_information_of_whole_records(opt
     assert information_of_last_pass(Estimate(shooting, theta, starts, first)) is None
 
 
+def test_the_problem_has_no_value_where_the_predictor_is_unstable():
+    shooting, unknowns = problem()
+    assert shooting.stable_only
+    unstable = unknowns.copy()
+    unstable[list(shooting.noise)] = 1e4
+    assert np.isnan(shooting.at(unstable).cost)
+    assert np.isnan(shooting.at(unstable).gradient).all()
+
+
 def test_columns_of_an_overflow_are_not_finite():
     """A fit that ended far off, with exact delays: its status says so, without an exception from a delay of nan."""
     shooting, unknowns = problem()

@@ -15,7 +15,6 @@ from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.identify.data import Record, gather
 from gbid.identify.predictor import build_predictor
-from gbid.identify.start import black_box as black_box_module
 from gbid.identify.start.black_box import Target, black_box, match
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 
@@ -24,31 +23,6 @@ BY_NAME = {case.name: case for case in CASES}
 
 def record_of(recording, inputs=("u",), outputs=("y",)):
     return gather([recording], inputs, outputs, 10).records[0]
-
-
-@pytest.mark.parametrize("feedthrough", [False, True])
-def test_regressions_of_all_lags_from_one_factorisation(monkeypatch, feedthrough):
-    shapes, factorise = [], np.linalg.qr
-    monkeypatch.setattr(np.linalg, "qr", lambda a, mode="reduced": shapes.append(a.shape) or factorise(a, mode))
-    records = [record_of(simulated(MODE, MODE_AT, levels(n, seed=n), noise=1e-2)) for n in (900, 700)]
-    several = [(each.outputs, each.inputs) for each in records]
-    for each in black_box_module._regressions(several, [3, 5, 8], 8, feedthrough):
-        p = each.lags  # the same by least squares over all samples
-        past = np.vstack(
-            [np.hstack([s[8 - i : len(s) - i] for s in pair for i in range(1, p + 1)]) for pair in several]
-        )
-        now = [np.vstack([u[8:] for _, u in several])] if feedthrough else []
-        offsets = np.repeat(np.eye(2), [len(y) - 8 for y, _ in several], axis=0)
-        X, Y = np.hstack([past, *now, offsets]), np.vstack([y[8:] for y, _ in several])
-        coefficients, rest, *_ = np.linalg.lstsq(X, Y, rcond=None)
-        n_z = X.shape[1] - 2
-        np.testing.assert_allclose(each.coefficients, coefficients[:n_z], rtol=1e-8, atol=1e-10)
-        np.testing.assert_allclose(each.noise, rest[:, None] / (len(Y) - X.shape[1]), rtol=1e-9)
-        np.testing.assert_allclose(each.inverse, np.linalg.inv(X.T @ X)[:n_z, :n_z], rtol=1e-7, atol=1e-12)
-        expected = len(Y) * np.log(each.noise[0, 0]) + 2 * X.shape[1]
-        assert each.criterion == pytest.approx(expected, rel=1e-9)
-        np.testing.assert_allclose(each.triangle.T @ each.triangle, X.T @ X, rtol=1e-9, atol=1e-9)
-    assert [rows for rows, _ in shapes if rows > 1000] == [1584]
 
 
 def poles_of(computed, h):
