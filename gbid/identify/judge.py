@@ -502,7 +502,6 @@ class Judged:
             return None
         return Profiler(
             self.free,
-            self.estimate.problem.box,
             self.scores["loss"],
             self.estimate,
             self.residuals.products,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -132,6 +132,8 @@ class Blocks:
         Predictor of these blocks; it defines the regressors.
     segments : tuple of Segment
         Segments in the blocks.
+    ends_from_zero : list of (predictor, (n, W) array)
+        Ends of blocks that begin at zero, for the last predictor; kept by the kernel.
     """
 
     y: FloatArray
@@ -145,7 +147,7 @@ class Blocks:
     predictor: GeneralPredictor
     segments: tuple[Segment, ...]
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
-    _ends: list[tuple[Any, FloatArray]] = field(default_factory=list)
+    ends_from_zero: list[tuple[Any, FloatArray]] = field(default_factory=list)
 
     @property
     def gains(self) -> list[GapGains]:
@@ -204,12 +206,6 @@ class Blocks:
             self._regressors[shift] = in_groups(self._rows(shift), self.length, len(self.y))
         return self._regressors[shift]
 
-    def ends_from_zero(self, v: Any, compute: Callable[[], FloatArray]) -> FloatArray:
-        """Return the ends (n, W) of blocks that begin at zero, computed once for the last predictor."""
-        if not (self._ends and self._ends[0][0] is v):
-            self._ends[:] = [(v, compute())]
-        return self._ends[0][1]
-
     def release(self) -> None:
         """Free the memory of large regressors, which are made anew when they are needed: in less time than a pass."""
         if sum(rows.nbytes for rows in self._regressors.values()) > _KEPT_BYTES:
@@ -227,7 +223,7 @@ class Blocks:
 
     def with_segments(self, segments: Iterable[Segment]) -> Blocks:
         """Return the blocks with other regressors, those of segments with as many samples."""
-        return replace(self, segments=tuple(segments), _regressors={}, _ends=[])
+        return replace(self, segments=tuple(segments), _regressors={}, ends_from_zero=[])
 
     def with_samples_of(self, other: Blocks) -> Blocks:
         """Return the blocks with the weights of others of the same records, and with their outputs without a copy."""

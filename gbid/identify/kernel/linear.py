@@ -77,9 +77,10 @@ class LinearKernel(KernelOfLinear):
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
         transition = np.linalg.matrix_power(v.F, blocks.length) if transition is None else transition
-        zero = np.zeros((len(v.F), len(blocks.size)))
-        ends = blocks.ends_from_zero(v, lambda: self.ends(v, blocks, zero))
-        return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
+        kept = blocks.ends_from_zero
+        if not (kept and kept[0][0] is v):
+            kept[:] = [(v, self.ends(v, blocks, np.zeros((len(v.F), len(blocks.size)))))]
+        return along_windows(blocks, starts.T[:, :, None], kept[0][1][:, :, None], transition)[:, :, 0]
 
     def gradient(self, v: PredictorValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
         """Return the gradient by the adjoint: less work than a pass with sensitivities.

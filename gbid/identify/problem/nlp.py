@@ -339,10 +339,10 @@ class Shooting:
         """Number of states."""
         return len(self.state_scale)
 
-    @cached_property
+    @property
     def n_windows(self) -> int:
         """Number of shooting windows."""
-        return sum(part.blocks.n_windows for part in self.parts)
+        return int(self.first_window[-1])
 
     @property
     def n_unknowns(self) -> int:

@@ -102,8 +102,6 @@ class Profiler:
     ----------
     names : tuple of str
         Free parameters.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds of the unknowns, scaled; the parameters are the first.
     loss : float
         Loss of the fit.
     estimate : Estimate
@@ -121,7 +119,6 @@ class Profiler:
     """
 
     names: tuple[str, ...]
-    box: Box
     loss: float
     estimate: Estimate
     products: FloatArray
@@ -169,7 +166,8 @@ class Profiler:
 
     def _walk(self, j: int, direction: int, first: float, to_ratio: float, threshold: float) -> Side:
         """Walk to one side until the ratio is above the threshold."""
-        limit, at, target = float(self.box[max(direction, 0)][j]), self.origin, float(np.sqrt(threshold))
+        at, target = self.origin, float(np.sqrt(threshold))
+        limit = float(self.estimate.problem.box[max(direction, 0)][j])
         begin, aim, length = float(at.unknowns[j]), target / WALK.steps, first
         side, root, cuts, edge = Side([begin], [0.0]), 0.0, 0, direction * np.inf
         far = WALK.farthest * max(abs(begin), first)
