@@ -1,7 +1,6 @@
 """Public names of gbid, and the files that define them: the one list, which Python and type checkers read."""
 
 from . import (
-    characterise as characterise,
     control as control,
     core as core,
     discretise as discretise,
@@ -17,12 +16,6 @@ from . import (
     validate as validate,
 )
 from ._version import __version__ as __version__
-from .characterise import (
-    PiezoCurve as PiezoCurve,
-    StaticMap as StaticMap,
-    characterise_piezo as characterise_piezo,
-    characterise_staircase as characterise_staircase,
-)
 from .control import (
     GainResult as GainResult,
     ParetoFront as ParetoFront,
@@ -89,6 +82,8 @@ from .prefilter.runout_identification import (
     identify_runout as identify_runout,
 )
 from .prefilter.filtering import OnlinePrefilter as OnlinePrefilter, prefilter as prefilter
+from .prefilter.piezo import PiezoCurve as PiezoCurve, characterise_piezo as characterise_piezo
+from .prefilter.staircase import StaticMap as StaticMap, characterise_staircase as characterise_staircase
 from .recording import (
     Recording as Recording,
     import_recording as import_recording,

@@ -1,4 +1,4 @@
-"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of spikes and offsets, running median.
+"""Prefilter and static characterisation (paper, Secs. 3.1 and 3.5): run-out, spikes, offsets, static gains, hysteresis.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

@@ -22,3 +22,11 @@ from .runout import (
     RunoutMap as RunoutMap,
     running_median as running_median,
 )
+from .piezo import (
+    PiezoCurve as PiezoCurve,
+    characterise_piezo as characterise_piezo,
+)
+from .staircase import (
+    StaticMap as StaticMap,
+    characterise_staircase as characterise_staircase,
+)

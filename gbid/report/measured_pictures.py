@@ -13,7 +13,6 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
@@ -21,6 +20,7 @@ from gbid.core.tables import probability
 from gbid.experiment.experiment import fit_models, recordings_of
 from gbid.experiment.stages.crossval import validate_pair
 from gbid.experiment.stages.fit import fit_result
+from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.recording import Recording
 from gbid.report.canvas import (
     BLACK,

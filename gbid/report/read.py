@@ -8,7 +8,7 @@ from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
-from gbid import characterise, control, lpv, validate
+from gbid import control, lpv, validate
 from gbid.control.assessment import assessed_alike, sampling_words
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
@@ -39,6 +39,7 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
+from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.prefilter.filtering import correction_rows, read_report
 from gbid.recording import Recording
 from gbid.structure import LinearModel
@@ -351,7 +352,7 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
 # ---- Results of an experiment: each is loaded at its first use; nothing is computed.
 
 PUBLISHED = "theisen2016"
-Kind = TypeVar("Kind", "characterise.StaticMap", "characterise.PiezoCurve")
+Kind = TypeVar("Kind", "StaticMap", "PiezoCurve")
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,22 +484,22 @@ class Results:
     # ------------------------------------------------------------ static characterisation
 
     @cached_property
-    def statics(self) -> StageResults[characterise.StaticMap | characterise.PiezoCurve]:
+    def statics(self) -> StageResults[StaticMap | PiezoCurve]:
         """Static characterisations."""
         return read_tasks(
             self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item.section)
         )
 
     @property
-    def static_map(self) -> characterise.StaticMap:
+    def static_map(self) -> StaticMap:
         """First static characterisation of the bearing."""
-        return next(iter(self._statics("bearing", characterise.StaticMap).values()))
+        return next(iter(self._statics("bearing", StaticMap).values()))
 
     @property
-    def piezos(self) -> list[tuple[characterise.PiezoCurve, Recording, str, str | None]]:
+    def piezos(self) -> list[tuple[PiezoCurve, Recording, str, str | None]]:
         """Characterised piezos with recording, and signal and channel of the command."""
         piezos = []
-        for name, curve in self._statics("piezo", characterise.PiezoCurve).items():
+        for name, curve in self._statics("piezo", PiezoCurve).items():
             section = self.experiment.spec.static[name]
             recording = load_made(self.job, self.experiment.matching(section.recordings)[0])
             piezos.append((curve, recording, wanted_signals(section)["command"], section.command_channel))

@@ -7,7 +7,6 @@ import pytest
 from experiment_files import STAIRS, copy_results, json_of, printed_by, write_quick
 from json_keys import assert_keys
 
-from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.hdf5 import load
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
@@ -16,7 +15,7 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import STATIC
 from gbid.lpv import load_model
-from gbid.prefilter import PrefilterFile
+from gbid.prefilter import PiezoCurve, PrefilterFile, StaticMap
 from gbid.recording import load_recording
 
 AUTO = """\

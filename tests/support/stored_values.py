@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import numpy as np
 
-from gbid.characterise import PiezoCurve, StaticMap
 from gbid.control.impact.study import ImpactStudy
 from gbid.core.hdf5 import Stored
 from gbid.identify.table import FitTable
@@ -16,7 +15,7 @@ from gbid.lpv import load_model
 from gbid.lpv.estimates import Estimates
 from gbid.lpv.fit import LPVFit
 from gbid.lpv.regression import OrderScore, Outlier
-from gbid.prefilter import PrefilterFile
+from gbid.prefilter import PiezoCurve, PrefilterFile, StaticMap
 from gbid.prefilter.filtering import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import Recording

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from gbid import characterise
 from gbid.core.errors import nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
@@ -15,6 +14,7 @@ from gbid.experiment.fields import Found, Item, Location, Result
 from gbid.experiment.recordings import load_made, recording_result, refuse_bad_signals
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals
+from gbid.prefilter import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase
 
 ONLY_FOR = {"bearing": ("source",), "piezo": ("channel", "command_channel", "settle_s", "limits")}
 """Keys that only one of the two kinds has."""
@@ -68,7 +68,7 @@ def _recordings(experiment: Experiment, name: str) -> list[str]:
     return [planned.name for planned in experiment.matching(experiment.spec.static[name].recordings)]
 
 
-def load_made_static(job: Job, name: str) -> characterise.StaticMap | characterise.PiezoCurve:
+def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
     """Return an existing static characterisation.
 
     Raises
@@ -78,8 +78,8 @@ def load_made_static(job: Job, name: str) -> characterise.StaticMap | characteri
     """
     path = job.path(FOLDER, name)
     if job.experiment.spec.static[name].kind == "piezo":
-        return load(path, characterise.PiezoCurve)
-    return load(path, characterise.StaticMap)
+        return load(path, PiezoCurve)
+    return load(path, StaticMap)
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -100,17 +100,17 @@ def _write(job: Job, part: Path, name: str) -> Made:
         # The command rests at its limits and other axes do not move: only the measured signals are checked.
         measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
         refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
-    result: characterise.PiezoCurve | characterise.StaticMap
+    result: PiezoCurve | StaticMap
     if section.kind == "piezo":
-        result = characterise.characterise_piezo(data[0], **options)
+        result = characterise_piezo(data[0], **options)
     else:
-        result = characterise.characterise_staircase(data, **options)
+        result = characterise_staircase(data, **options)
     save(result, part, overwrite=True)
     return Made("; ".join(result.notes))
 
 
 def _write_csv(job: Job, part: Path, name: str) -> None:
-    write_csv(table_of_records(characterise.static_rows(load_made_static(job, name))), part)
+    write_csv(table_of_records(load_made_static(job, name).rows()), part)
 
 
 STATIC = Stage("static", "static", (static_makes_sense,), static_tasks, (_csv_tasks,))

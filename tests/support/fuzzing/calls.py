@@ -38,7 +38,6 @@ from gbid.control.tuning.plants import TuneOptions
 from gbid.core.errors import GbidError
 
 PACKAGES = (
-    "characterise",
     "control",
     "excite",
     "export",

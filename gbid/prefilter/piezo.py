@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import h5py
 import numpy as np
 
-from gbid.characterise.plateaus import (
-    MIN_SAMPLES,
-    Plateaus,
-    branch_difference,
-    find_plateaus,
-    steady_means,
-    steady_parts,
-)
-from gbid.characterise.staircase import REMEDY, StaticMap, stored_units
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
@@ -27,6 +17,16 @@ from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
 from gbid.core.option_types import Share
 from gbid.core.tables import Column, Row, Table, finite_or_none, formatted, in_unit
+from gbid.prefilter.staircase import (
+    MIN_SAMPLES,
+    REMEDY,
+    Plateaus,
+    branch_difference,
+    find_plateaus,
+    steady_means,
+    steady_parts,
+    stored_units,
+)
 from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
@@ -153,6 +153,25 @@ class PiezoCurve(Brief, Pictured, hdf5.InFile):
         how = "in open loop" if self.units[0] == "V" else "with its controller"
         words = f"Hysteresis of the piezo: {in_unit(self.hysteresis, self.units[1])} {how}"
         return [Figure("plot_piezo_hysteresis", words, ([self],)), Figure("plot_piezo_staircase", "steps", ([self],))]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return rows for CSV, one for each plateau; names have their units in brackets."""
+        source, output = self.units
+        creep = np.concatenate([[np.nan], self.creep])
+        saturated = np.concatenate([[False], self.saturated])
+        return [
+            {
+                "recording": self.name,
+                "plateau": k + 1,
+                "direction": int(self.direction[k]),
+                f"command [{source}]": float(self.command[k]),
+                f"{self.channel} [{output}]": float(self.position[k]),
+                f"{self.channel}_std [{output}]": float(self.position_std[k]),
+                "creep": float(creep[k]),
+                "saturated": bool(saturated[k]),
+            }
+            for k in range(len(self.command))
+        ]
 
 
 def characterise_piezo(
@@ -312,48 +331,3 @@ def _responses(y: FloatArray, plateaus: Plateaus, sample_time: float) -> tuple[F
         before = y[max(a - MIN_SAMPLES, int(plateaus.start[k - 1])) : a].mean()
         columns.append(y[a : a + length] - before)
     return np.asarray(np.arange(length) * sample_time, dtype=float), np.column_stack(columns)
-
-
-# ---- Rows of static maps and piezo curves for CSV.
-
-
-def static_rows(result: StaticMap | PiezoCurve) -> list[dict[str, Any]]:
-    """Return rows for CSV, one for each plateau; names have their units in brackets."""
-    source, output = result.units
-    if isinstance(result, PiezoCurve):
-        creep = np.concatenate([[np.nan], result.creep])
-        saturated = np.concatenate([[False], result.saturated])
-        return [
-            {
-                "recording": result.name,
-                "plateau": k + 1,
-                "direction": int(result.direction[k]),
-                f"command [{source}]": float(result.command[k]),
-                f"{result.channel} [{output}]": float(result.position[k]),
-                f"{result.channel}_std [{output}]": float(result.position_std[k]),
-                "creep": float(creep[k]),
-                "saturated": bool(saturated[k]),
-            }
-            for k in range(len(result.command))
-        ]
-    return [
-        {
-            "recording": result.sources[int(result.recording[k])],
-            "begin [s]": float(result.time[k, 0]),
-            "direction": int(result.direction[k]),
-            **_columns(result.input_names, source, result.input_mean[k], result.input_std[k]),
-            **_columns(result.output_names, output, result.output_mean[k], result.output_std[k]),
-            **{
-                f"{name}_residual [{output}]": float(value)
-                for name, value in zip(result.output_names, result.residual[k], strict=True)
-            },
-        }
-        for k in range(len(result.command))
-    ]
-
-
-def _columns(names: Sequence[str], unit: str, values: Sequence[float], errors: Sequence[float]) -> dict[str, float]:
-    columns = {}
-    for name, value, error in zip(names, values, errors, strict=True):
-        columns[f"{name} [{unit}]"], columns[f"{name}_std [{unit}]"] = float(value), float(error)
-    return columns

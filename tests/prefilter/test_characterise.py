@@ -8,13 +8,12 @@ from rig_point import machine
 from scipy.signal import lfilter
 from scipy.stats import binom, linregress
 
-from gbid.characterise import (
+from gbid.core.errors import DataError, UsageError
+from gbid.prefilter import (
     characterise_piezo,
     characterise_staircase,
-    static_rows,
 )
-from gbid.characterise.plateaus import find_plateaus, steady_means
-from gbid.core.errors import DataError, UsageError
+from gbid.prefilter.staircase import find_plateaus, steady_means
 from gbid.recording import Recording
 from gbid.rig import PiezoStacks, StackStaircase, Staircase, record
 
@@ -318,8 +317,8 @@ def test_rig_stack_open_loop_and_controlled():
 
 
 def test_rows_are_one_for_each_plateau_with_units():
-    rows = static_rows(characterise_staircase(synthetic(0)))
+    rows = characterise_staircase(synthetic(0)).rows()
     assert len(rows) == 21
     assert {"recording", "u_x [m]", "u_x_std [m]", "p_y [m]", "p_y_residual [m]"} <= set(rows[0])
-    rows = static_rows(characterise_piezo(loop(), command="v", position="y_p"))
+    rows = characterise_piezo(loop(), command="v", position="y_p").rows()
     assert {"command [V]", "y_p_4 [m]", "creep", "saturated"} <= set(rows[0])

@@ -1,8 +1,0 @@
-"""Static characterisation: staircases of the rotor-bearing system (Sec. 3.1) and of the piezos (Appendix A).
-
-The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
-"""
-
-from gbid.core.public import attach
-
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
