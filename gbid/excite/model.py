@@ -12,7 +12,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Names
+from gbid.core.option_types import Names, check_options
 from gbid.core.units import SIGNALS
 from gbid.discretise import Hold, check_holds
 from gbid.identify import FitResult
@@ -125,6 +125,7 @@ class KnownModel(Brief):
     model: LinearModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_options(self, "KnownModel")
         if kind_of(self.structure).nonlinear:
             raise UsageError(
                 f"structure {self.structure.name!r} is nonlinear; an excitation is designed for a linear model: give "

@@ -15,6 +15,7 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Pictured
+from gbid.core.option_types import checks_arguments
 from gbid.core.tables import Column, Table
 from gbid.identify.uncertainty.curves import ChannelCurves
 from gbid.recording.columns import name_and_unit
@@ -87,6 +88,7 @@ class FrequencyData(ChannelCurves, Pictured):
 
     drawn_by = "plot_bode"
 
+    @checks_arguments
     def __init__(
         self,
         frequencies: npt.ArrayLike,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gbid.core.arrays import FloatArray, oscillatory_modes, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
-from gbid.core.option_types import Positive, check_options
+from gbid.core.option_types import Positive, check_options, checks_arguments
 from gbid.core.published import PUBLISHED_RMS
 from gbid.discretise import check_holds
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
@@ -128,6 +128,7 @@ class Domain:
     bounds: tuple[tuple[float, float], ...]
     variables: tuple[str, ...]
 
+    @checks_arguments
     def __init__(self, *bounds: tuple[float, float], variables: tuple[str, ...] = SCHEDULING) -> None:
         if len(bounds) != len(variables):
             raise UsageError(f"domain: give the range of {', '.join(variables)}; got {len(bounds)} ranges")
@@ -324,6 +325,7 @@ class LPVModel(Brief):
     machine: MachineData = MachineData()
 
     def __post_init__(self) -> None:
+        check_options(self, "LPVModel")
         where = f"model {self.name!r}"
         names = tuple(parameter.name for parameter in self.equations.parameters)
         given = [*self.coefficients, *self.held]

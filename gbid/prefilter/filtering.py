@@ -19,6 +19,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.notes import DataNote
+from gbid.core.option_types import checks_arguments
 from gbid.core.tables import Column, Row, Table, shown_unit
 from gbid.prefilter.runout import RunoutMap, running_median, shaft_motion
 from gbid.recording import Recording
@@ -446,6 +447,7 @@ class OnlinePrefilter:
     [array([2.])]
     """
 
+    @checks_arguments
     def __init__(self, runout_map: RunoutMap | None, *, offset: npt.ArrayLike | None = None, median: int = 1) -> None:
         if median < 1 or median % 2 == 0:
             raise UsageError(f"median = {median}; give an odd number of samples, 1 for none")

@@ -20,7 +20,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame
 from gbid.core.figures import Pictured
-from gbid.core.option_types import Own
+from gbid.core.option_types import Own, check_options
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import MAX_JITTER
 from gbid.recording.columns import seconds
@@ -163,6 +163,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
     drawn_by = "plot_recording"
 
     def __post_init__(self) -> None:
+        check_options(self, "Recording")
         for key in (*self.signals, *self.conditions):
             _check_key(self.name, key)
         signals = {name: _checked(self.name, name, values) for name, values in self.signals.items()}

@@ -79,9 +79,9 @@ class RotorBearing(Brief):
     intersample: Hold = "foh"
 
     def __post_init__(self) -> None:
+        check_options(self, str(self.name))
         if self.unbalance and self.inputs == ("u",):
             object.__setattr__(self, "inputs", ("u", "unbalance"))
-        check_options(self, self.name)
         if self.delay == "exact" and self.pade_order is not None:
             raise UsageError(f"{self.name}: pade_order is for delay = 'pade'; exact delays have no order")
         if self.delay is None:
@@ -177,7 +177,7 @@ class PiezoPair(Brief):
     poles: Literal["real", "any"] = "real"
 
     def __post_init__(self) -> None:
-        check_options(self, self.name)
+        check_options(self, str(self.name))
 
     @property
     @once
@@ -254,6 +254,7 @@ class Plant(Brief):
     intersample: Hold | tuple[Hold, ...] = "zoh"
 
     def __post_init__(self) -> None:
+        check_options(self, "Plant")
         if self.bearing.unbalance and self.inputs == ("r",):
             object.__setattr__(self, "inputs", ("r", "unbalance"))
             object.__setattr__(self, "intersample", ("zoh", "zoh", "foh", "foh"))

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import CountOrZero
+from gbid.core.option_types import CountOrZero, checks_arguments
 from gbid.discretise import Hold
 from gbid.structure.built_in import Plant, RotorBearing
 from gbid.structure.delay import pade_matrices, with_pade
@@ -155,6 +155,7 @@ class ClosedLoop(Brief):
     name: str
     intersample: Hold
 
+    @checks_arguments
     def __init__(
         self,
         structure: Structure,

@@ -14,6 +14,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import checks_arguments
 from gbid.discretise import Exponentials, Hold, delayed_taps, discretise
 from gbid.discretise.dual import Dual
 from gbid.structure.models import LinearModel
@@ -369,6 +370,7 @@ class LinearStructure(Brief):
     outputs: tuple[str, ...]
     intersample: Hold = "zoh"
 
+    @checks_arguments
     def __init__(
         self,
         name: str,

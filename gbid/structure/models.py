@@ -18,7 +18,7 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import extra_package
 from gbid.core.figures import Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
-from gbid.core.option_types import OneText
+from gbid.core.option_types import OneText, check_options
 from gbid.discretise import (
     Hold,
     check_holds,
@@ -247,6 +247,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
     drawn_by = "plot_bode"
 
     def __post_init__(self) -> None:
+        check_options(self, "LinearModel")
         if self.dt is not None:
             check_sample_time(self.name, self.dt)
         given = {name: getattr(self, name) for name in (*"ABCDK", "B_delayed", "delay")}

@@ -16,7 +16,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import NoValueAtStartError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
-from gbid.core.option_types import Allowed, Exact, OneText, check_options
+from gbid.core.option_types import Allowed, Exact, OneText, check_options, checks_arguments
 from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
 from gbid.structure.models import LinearModel, SampledSignals, check_clock
@@ -97,6 +97,7 @@ class NonlinearStructure:
     integrator: IntegratorName = "rk4"
     steps: _Steps = "auto"
 
+    @checks_arguments
     def __init__(
         self,
         name: str,

@@ -15,6 +15,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
+from gbid.core.option_types import check_options
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Parameter:
     unit: str = ""
 
     def __post_init__(self) -> None:
+        check_options(self, "Parameter")
         where = f"parameter {self.name!r}"
         if not self.name.isidentifier():
             raise UsageError(f"{where}: the name must be a Python identifier")

@@ -89,18 +89,20 @@ def test_public_functions_are_found_again_by_pickle():
     assert gbid.cross_validate is gbid.validate.cross_validate
 
 
-def test_a_copy_with_other_values_is_checked_for_its_caller_alone(monkeypatch):
-    """`dataclasses.replace` calls the constructor: gbid's own copies, thousands in an export, are not checked."""
-    calls = []
-    monkeypatch.setattr("gbid.core.option_types.check_call", lambda function, owner, *_: calls.append(owner))
-    replace(PLANT, name="here")
-    assert calls == ["LinearModel"]
-    exec("replace(PLANT, name='inside')", {"__name__": "gbid.inside", "replace": replace, "PLANT": PLANT})
-    assert calls == ["LinearModel"]
+def test_a_copy_with_other_values_is_checked():
+    with pytest.raises(UsageError, match="LinearModel: name = 3; give a text"):
+        replace(PLANT, name=3)
+
+
+def test_calls_within_a_public_call_are_not_checked(monkeypatch):
+    calls, data = [], simulated(MODE, MODE_AT, levels(60), noise=0.1)
+    monkeypatch.setattr("gbid.core.option_check.check_call", lambda function, *_: calls.append(function.__name__))
+    gbid.fit(MODE, data, max_iterations=1)
+    assert calls == ["fit"]
 
 
 def test_the_check_is_not_imported_before_a_call():
-    code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_types'} & set(sys.modules)"
+    code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_check'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

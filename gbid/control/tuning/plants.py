@@ -77,6 +77,7 @@ class Uncertainty(Brief):
     chosen: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
+        check_options(self, "Uncertainty")
         n = len(KEY_PARAMETERS) * len(TERMS)
         if (self.covariance is None) == (self.samples is None):
             raise UsageError("uncertainty: give either the covariance of the coefficients or samples")
