@@ -29,7 +29,8 @@ from gbid.core.yaml_file import read_yaml
 from gbid.experiment.controllers import sample_time
 from gbid.experiment.fields import needed
 from gbid.experiment.machine import rig_run
-from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics, fit_lpv, load_machine
+from gbid.lpv import LPVFit, LPVModel, characteristics, fit_lpv, load_machine
+from gbid.lpv.model import CHARACTERISTICS
 from gbid.report.read import POINT, Results, published_controller
 from gbid.rig import Prbs, record
 from gbid.structure import KEY_PARAMETERS, LinearModel

@@ -33,7 +33,7 @@ from gbid.core.errors import DataError, NoSpaceError, UsageError
 from gbid.core.tables import Column, Entry, Table, csv_text, formatted, markdown_table, plain_table
 from gbid.experiment.fields import InputError, Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, Task, produce, run_tasks
-from gbid.lpv import TERMS
+from gbid.lpv.model import TERMS
 from gbid.report.canvas import save_figure
 from gbid.report.named import named_figures, write_shipped
 from gbid.report.read import Results, design_performances

@@ -88,8 +88,8 @@ def bench(
 
     from gbid.cli.printing import print_json, print_tables
     from gbid.core.tables import Column, Table
-    from gbid.identify import fit
-    from gbid.lpv import load_model
+    from gbid.identify.fitting import fit
+    from gbid.lpv.model_file import load_model
     from gbid.recording import Recording
     from gbid.structure import RotorBearing
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gbid.cli.options import CommonOptions, files_ending, with_options
+from gbid.core import hdf5
+from gbid.identify.result import FitResult
 
 if TYPE_CHECKING:
     from gbid.control.assessment import TunedDesign
@@ -106,16 +108,16 @@ def compare(
     from gbid.cli.printing import print_json, print_tables
     from gbid.core.errors import UsageError
     from gbid.core.files import atomic_path
-    from gbid.identify import load_fit, subspace, subspace_orders
-    from gbid.recording import load_recording
+    from gbid.identify.start.black_box import subspace, subspace_orders
+    from gbid.recording.recording import load_recording
     from gbid.report.write import comparison_text
-    from gbid.validate import compare as compared
+    from gbid.validate.comparison import compare as compared
 
     if not on:
         raise UsageError("--on is missing: give the recordings on which the models are compared")
     if others := [path for path in (*on, *(plain or ())) if path.is_file() and path.suffix not in (".h5", ".hdf5")]:
         raise UsageError(f"{others[0]}: give a recording (.h5), as `gbid import` makes it of a file of a logger")
-    named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": load_fit(path) for path in models}
+    named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": hdf5.load(path, FitResult) for path in models}
     orders = None
     if plain:
         sources, first = [load_recording(path) for path in plain], next(iter(named.values())).options

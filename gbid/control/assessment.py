@@ -34,8 +34,9 @@ from gbid.core.extras import data_frame
 from gbid.core.hdf5 import Stored
 from gbid.core.tables import Cell, Column, Entry, Row, Table, formatted, keyed_table
 from gbid.lpv import LPVFit, LPVModel
-from gbid.structure import LinearModel, PiezoPair, evaluate, with_pade
-from gbid.structure.linear import Structure
+from gbid.structure import LinearModel, PiezoPair
+from gbid.structure.delay import with_pade
+from gbid.structure.linear import Structure, evaluate
 
 # ---- Performance figures of a design at one operating point.
 

@@ -23,7 +23,7 @@ from gbid.core.option_types import Allowed, Exact, OneText, Own, type_parts, typ
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class CheckedType:
     """Type of an option or argument; the check by pydantic is made when a value is checked first."""
 
     hint: Any
@@ -50,8 +50,8 @@ def check_fields(made: type, values: Mapping[str, Any], owner: str) -> None:
 
 
 @cache
-def _kinds_of(made: type) -> dict[str, Kind]:
-    return {name: Kind(hint) for name, hint in types_of(made).items()}
+def _kinds_of(made: type) -> dict[str, CheckedType]:
+    return {name: CheckedType(hint) for name, hint in types_of(made).items()}
 
 
 def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any]) -> None:
@@ -83,7 +83,7 @@ def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any
                 raise UsageError(f"{owner}: {name} = {_short(each)}; give a finite number", name)
 
 
-def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, Kind]) -> str:
+def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, CheckedType]) -> str:
     """Return words for a first argument that belongs into the second place."""
     first, second = [*kinds, "", ""][:2]
     swapped = name == first and second and kinds[second].hint is not Any and kinds[second].allows(value)
@@ -91,12 +91,12 @@ def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, Kind
 
 
 @cache
-def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, Kind]]:
+def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, CheckedType]]:
     """Return the signature of a function and the types of its arguments, of options as well."""
     signature, hints = inspect.signature(function), get_type_hints(inspect.unwrap(function), include_extras=True)
     if hasattr(function, "options_kind"):
         hints |= types_of(function.options_kind)
-    return signature, {name: Kind(hints[name]) for name in signature.parameters if name in hints}
+    return signature, {name: CheckedType(hints[name]) for name in signature.parameters if name in hints}
 
 
 def _has_nan(value: Any) -> bool:
@@ -158,7 +158,7 @@ def _short(value: Any) -> str:
 
 
 def _allows(hint: Any, value: Any) -> bool:
-    return Kind(hint).allows(value)
+    return CheckedType(hint).allows(value)
 
 
 def _pydantic_type(kind: Any) -> Any:

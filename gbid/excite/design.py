@@ -68,7 +68,7 @@ def design_excitation(
     The information matrix of a spectrum follows from the derivatives of the predictor by the parameters at each line
     (Ljung, System Identification, Secs. 9.4 and 13.3; Goodwin and Payne, Dynamic System Identification, 1977). The
     standard deviations of the result are not taken from it: they come from the sums of a fit over a simulated
-    recording, see `gbid.excite.expected_covariance`.
+    recording, see `expected_covariance`.
     """
     known = known_model(model)
     n_samples = round(duration / sample_time)

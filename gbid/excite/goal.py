@@ -14,7 +14,7 @@ from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
-from gbid.discretise import discretise, propagate
+from gbid.discretise.exact import discretise, propagate
 from gbid.excite.model import KnownModel
 from gbid.identify.data import FitData, Record
 from gbid.identify.options import FitArguments

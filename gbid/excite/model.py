@@ -14,12 +14,14 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Names, check_options
 from gbid.core.units import SIGNALS
-from gbid.discretise import Hold, check_holds
+from gbid.discretise import Hold
+from gbid.discretise.exact import check_holds
 from gbid.identify import FitResult
 from gbid.identify.options import Focus
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
-from gbid.structure import LinearModel, LinearStructure, Parameter, Structure, as_names, kind_of
-from gbid.structure.linear import evaluate
+from gbid.structure import LinearModel, LinearStructure, Parameter, Structure
+from gbid.structure.kinds import kind_of
+from gbid.structure.linear import as_names, evaluate
 from gbid.structure.parameter import Values
 
 

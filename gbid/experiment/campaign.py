@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbid import identify
+from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.index import NAME as INDEX
@@ -45,7 +46,7 @@ from gbid.experiment.run import (
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks, table_row
 from gbid.experiment.stages.prefilter import with_needed
-from gbid.identify.table import csv_table
+from gbid.identify.table import FitTable, TableEntry, csv_table, tabulate
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -402,13 +403,13 @@ def collect(job: Job) -> tuple[identify.FitTable, list[Outcome]]:
         for ending in (".h5", ".csv")
     ]
     if all(result.is_made for result in results):
-        table = identify.load_table(results[0].path)
+        table = hdf5.load(results[0].path, FitTable)
     else:
-        table = identify.tabulate(
+        table = tabulate(
             [_entry(job, *model, task, state) for model, task, state in zip(models, tasks, states, strict=True)]
         )
     writers: tuple[Callable[[Path], None], ...] = (
-        lambda part: identify.save_table(table, part, overwrite=True),
+        lambda part: hdf5.save(table, part, overwrite=True),
         lambda part: write_csv(csv_table(table), part),
     )
     outcomes = []
@@ -418,7 +419,7 @@ def collect(job: Job) -> tuple[identify.FitTable, list[Outcome]]:
     return table, outcomes
 
 
-def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> identify.TableEntry:
+def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> TableEntry:
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
     first: Mapping[str, float] = conditions[0] if conditions else {}
     shared = {k: v for k, v in first.items() if all(other.get(k) == v for other in conditions)}
@@ -428,7 +429,7 @@ def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> ide
             row = table_row(task.path)
         except DataError as error:
             failure = str(error)
-    return identify.TableEntry(fit, model, task.recordings, shared, failure=failure, row=row)
+    return TableEntry(fit, model, task.recordings, shared, failure=failure, row=row)
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:

@@ -23,9 +23,11 @@ from gbid.experiment.schema import (
     TargetSection,
 )
 from gbid.experiment.user_code import user_structure, user_structure_or_model
-from gbid.prefilter import identify_runout
+from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
+from gbid.prefilter.runout_identification import identify_runout
 from gbid.rig import ProgramController, SampledController, Stationary
-from gbid.structure import LinearModel, LinearStructure, kind_of
+from gbid.structure import LinearModel, LinearStructure
+from gbid.structure.kinds import kind_of
 from gbid.structure.linear import Structure
 
 if TYPE_CHECKING:
@@ -261,7 +263,7 @@ def sample_time(experiment: Experiment, section: ControllerSection | ControllerC
     return experiment.spec.rig.sample_time_s
 
 
-def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> lpv.PublishedMachine | None:
+def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
     """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
     if section is not None and is_fitted(experiment, section):
         return None
@@ -272,13 +274,13 @@ def published_machine(experiment: Experiment, section: ControllerSection | None 
     return rig_machine(experiment)
 
 
-def published_design(experiment: Experiment, section: ControllerSection | None = None) -> lpv.ProportionalDesign | None:
+def published_design(experiment: Experiment, section: ControllerSection | None = None) -> ProportionalDesign | None:
     """Return the controller of `published_machine`; None when there is none."""
     machine = published_machine(experiment, section)
     return None if machine is None else machine.controller
 
 
-def published_structure(came: lpv.ProportionalDesign) -> Structure:
+def published_structure(came: ProportionalDesign) -> Structure:
     """Return the structure of a published controller."""
     return control.controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
 

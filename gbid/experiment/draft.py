@@ -25,9 +25,9 @@ from gbid.lpv.estimates import order_words, possible_order
 from gbid.prefilter.filtering import repair_overloads
 from gbid.prefilter.runout import running_median
 from gbid.prefilter.runout_identification import compare_runout
-from gbid.recording import Recording, import_recording
+from gbid.recording import Recording
 from gbid.recording.formats import file_formats, format_of, format_of_ending
-from gbid.recording.importing import list_channels
+from gbid.recording.importing import import_recording, list_channels
 from gbid.recording.quality import speed_change, turning_increments
 from gbid.recording.readers import FileChannel
 from gbid.recording.roles import ROLES, Roles, column_lines, find_roles

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gbid.control import ControllerDesign, load_controller
+from gbid.control import ControllerDesign
+from gbid.control.controllers.file import load_controller
 from gbid.core.arrays import Point
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import atomic_set
@@ -22,8 +23,10 @@ from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.prefilter import MAP_FOLDER
 from gbid.export.targets import ExportItem, ExportRequest, export_target
 from gbid.identify import FitResult
-from gbid.lpv import LPVModel, load_model
-from gbid.prefilter import PrefilterFile, RunoutMap
+from gbid.lpv import LPVModel
+from gbid.lpv.model_file import load_model
+from gbid.prefilter import RunoutMap
+from gbid.prefilter.filtering import PrefilterFile
 from gbid.recording import Recording
 
 FOLDER = "export"

@@ -31,7 +31,7 @@ from gbid.experiment.user_code import forget_failures, new_code
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importing import Peek, peek
-from gbid.structure import kind_of
+from gbid.structure.kinds import kind_of
 
 # ---- Checks of an experiment across its sections: each check is a function that yields the problems it finds.
 

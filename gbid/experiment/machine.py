@@ -19,6 +19,7 @@ from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
 from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
 from gbid.experiment.schema import HammerTrain
+from gbid.lpv.model_file import PublishedMachine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
@@ -37,27 +38,19 @@ from gbid.rig import (
     StackStaircase,
     Staircase,
     Stationary,
-    possible_machines,
-    record,
-    rig_effect,
-    scatter_random,
-    scattered,
 )
-from gbid.rig import Experiment as RigExperiment
+from gbid.rig.effects import rig_effect
 from gbid.rig.excitation import RPM
+from gbid.rig.machine import scatter_random, scattered
 from gbid.rig.piezo import ALLOCATION
+from gbid.rig.response import possible_machines
+from gbid.rig.simulation import Experiment as RigExperiment
+from gbid.rig.simulation import record
 from gbid.rig.stepping import Surfaces
-from gbid.structure import (
-    KEY_PARAMETERS,
-    AnyStructure,
-    LinearModel,
-    PiezoPair,
-    Plant,
-    RotorBearing,
-    evaluate,
-    kind_of,
-)
+from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
 from gbid.structure.built_in import STIFFENING
+from gbid.structure.kinds import AnyStructure, kind_of
+from gbid.structure.linear import evaluate
 
 BEFORE_S = 0.2
 """Time before the first impact [s], which shows the motion of the disc without impact."""
@@ -65,7 +58,7 @@ _GOLDEN = 0.6180339887
 
 
 @lru_cache(maxsize=4)
-def rig_machine(experiment: Experiment) -> lpv.PublishedMachine:
+def rig_machine(experiment: Experiment) -> PublishedMachine:
     """Return the machine of the rig: by name, or from a YAML file relative to the experiment or the models folder.
 
     Raises
@@ -279,7 +272,7 @@ class PlannedRun:
     ----------
     machine : Machine
         The rig at the operating point.
-    experiment : gbid.rig.Experiment
+    experiment : Experiment
         What it does.
     options : dict
         Other arguments.

@@ -21,7 +21,9 @@ from gbid.experiment.machine import rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ImportedSection, LpvSection
 from gbid.experiment.structures import fit_channels
-from gbid.recording import ProblemKind, Recording, find_problems, load_recording
+from gbid.recording import Recording
+from gbid.recording.quality import ProblemKind, find_problems
+from gbid.recording.recording import load_recording
 
 # ---- File and mapping of an imported recording.
 

@@ -130,7 +130,7 @@ class CycleSection(Section):
 
 
 class ExciteLimitsSection(Section):
-    """Limits of an excitation; see `gbid.ExcitationLimits`.
+    """Limits of an excitation; see `gbid.excite.ExcitationLimits`.
 
     `peaks` and `radius` are by signal or channel of the fit, in SI units. `clearance_m` is that of the rig when left
     out, with its unbalance, run-out and scatter; without a rig there is none.
@@ -180,7 +180,7 @@ class FigureSection(Section):
 class StructureOptions(Section):
     """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`.
 
-    Those from `axes` on are for magnetic bearings, see `gbid.RigidRotor` and `gbid.MagneticBearing`.
+    Those from `axes` on are for magnetic bearings, see `gbid.structure.RigidRotor` and `gbid.MagneticBearing`.
     """
 
     delay: Literal["exact", "pade"] | None = None
@@ -424,7 +424,7 @@ class LpvSection(Section):
 
 
 class NominalSection(Section):
-    """Fit whose most central model is the nominal actuator; see `gbid.nominal_actuator`."""
+    """Fit whose most central model is the nominal actuator; see `gbid.validate.nominal_actuator`."""
 
     fit: Name
 

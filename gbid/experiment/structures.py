@@ -19,7 +19,6 @@ from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.user_code import user_structure
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.structure import (
-    AnyStructure,
     ClosedLoop,
     LinearModel,
     MagneticBearing,
@@ -29,9 +28,9 @@ from gbid.structure import (
     RotorBearing,
     ScheduledStructure,
     Structure,
-    kind_of,
-    scheduled,
 )
+from gbid.structure.kinds import AnyStructure, kind_of
+from gbid.structure.scheduling import scheduled
 from gbid.structure.user import called, checked
 
 # ---- Closed loop of a fit's structure and the controller that its section names.

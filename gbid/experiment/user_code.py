@@ -13,7 +13,8 @@ from gbid.core.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import file_digest
 from gbid.experiment.schema import ExperimentFile
-from gbid.structure import AnyStructure, LinearModel
+from gbid.structure import LinearModel
+from gbid.structure.kinds import AnyStructure
 from gbid.structure.user import execute_file, not_a_model, python_file, structure_in
 
 T = TypeVar("T")
@@ -27,7 +28,7 @@ def user_structure_or_model(reference: str, folder: Path) -> AnyStructure | Line
     Raises
     ------
     UsageError
-        As `gbid.structure.load_structure_or_model`.
+        As `load_structure_or_model`.
     """
     path, name = python_file(reference, folder)
     try:

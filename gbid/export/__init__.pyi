@@ -1,7 +1,6 @@
 """Public names of `gbid.export`, and the files that define them: the one list."""
 
 from .chain import (
-    Chain as Chain,
     ChainOptions as ChainOptions,
     chain_of as chain_of,
 )
@@ -10,10 +9,8 @@ from .chain_c import (
     write_chain as write_chain,
 )
 from .chain_python import (
-    ChainFault as ChainFault,
     ChainInput as ChainInput,
     ChainMode as ChainMode,
-    ChainOutput as ChainOutput,
     PythonChain as PythonChain,
 )
 from .data_files import (
@@ -23,7 +20,6 @@ from .fmu import (
     save_fmu as save_fmu,
 )
 from .matlab import (
-    Exportable as Exportable,
     save_mat as save_mat,
 )
 from .ross import (

@@ -29,9 +29,9 @@ from gbid.core.names import given_path, one_line
 from gbid.core.option_types import NotNegative, Positive
 from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVModel
-from gbid.structure import LinearModel, LinearStructure, PiezoPair, Plant, RotorBearing, Values, symbolic_matrices
+from gbid.structure import LinearModel, LinearStructure, PiezoPair, Plant, RotorBearing, Values
 from gbid.structure.delay import pade_matrices
-from gbid.structure.linear import Matrices, Structure
+from gbid.structure.linear import Matrices, Structure, symbolic_matrices
 
 Delay = Literal["exact", "pade"]
 Causality = Literal["input", "output", "parameter"]

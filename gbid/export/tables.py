@@ -18,9 +18,9 @@ from gbid.core.tables import Table, Value, plain_table, write_csv
 from gbid.core.yaml_file import write_yaml
 from gbid.export.matlab import Exportable
 from gbid.identify import FitResult, FrequencyData
-from gbid.lpv import LPVModel, save_model
+from gbid.lpv import LPVModel
 from gbid.lpv.model import TERMS
-from gbid.lpv.model_file import SI_UNITS
+from gbid.lpv.model_file import SI_UNITS, save_model
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
 

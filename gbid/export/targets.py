@@ -242,7 +242,7 @@ def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
 
 def _plants_of(design: ControllerDesign, request: ExportRequest) -> dict[str, Any]:
     """Models by name for which a controller was designed: of those beside it, or one that comes with gbid."""
-    from gbid.lpv import load_model
+    from gbid.lpv.model_file import load_model
 
     plants = [item for item in request.beside if item.kind != "ControllerDesign"]
     for chosen in (
@@ -288,7 +288,7 @@ def write_elements(item: ExportItem, request: ExportRequest) -> list[Path]:
 
 
 def write_data(item: ExportItem, request: ExportRequest, ending: str) -> list[Path]:
-    """Write a recording as a file of another program; see `gbid.save_data`.
+    """Write a recording as a file of another program; see `gbid.export.save_data`.
 
     Raises
     ------

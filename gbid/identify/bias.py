@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.notes import FitNote
-from gbid.discretise import check_holds
+from gbid.discretise.exact import check_holds
 from gbid.identify.data import Record
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import bounded
@@ -18,8 +18,8 @@ from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import gauss_newton_step
 from gbid.identify.problem.states import initial_states
 from gbid.identify.uncertainty.residual_tests import followed, whiteness_test
-from gbid.structure import AnyStructure
 from gbid.structure.built_in import exact_delays
+from gbid.structure.kinds import AnyStructure
 
 # ---- Bias of delay and hold.
 #

@@ -24,7 +24,7 @@ from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
 from gbid.identify.result import FitResult, Profile
 from gbid.identify.uncertainty.residual_tests import COLOURED
-from gbid.structure import AnyStructure, kind_of
+from gbid.structure.kinds import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
 

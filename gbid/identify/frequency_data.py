@@ -21,7 +21,7 @@ from gbid.identify.uncertainty.curves import ChannelCurves
 from gbid.recording.columns import name_and_unit
 from gbid.recording.text_files import read_text
 from gbid.recording.universal import UNIVERSAL_ENDINGS, PairResponse, read_responses
-from gbid.structure import as_names
+from gbid.structure.linear import as_names
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,9 @@ from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor
 from gbid.identify.start.black_box import Target
 from gbid.identify.start.start import Begin, begin_values, has_no_starts, matched
-from gbid.structure import AnyStructure, Parameter, Structure, kind_of, symbolic_matrices
+from gbid.structure import Parameter, Structure
+from gbid.structure.kinds import AnyStructure, kind_of
+from gbid.structure.linear import symbolic_matrices
 
 _ACCURACY = 1e-3  # smallest relative standard deviation that a match of start values believes
 _FOLLOWS = 4.0  # standard deviations of the correlation of neighbouring errors, beyond chance

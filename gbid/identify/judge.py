@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import FitNote
-from gbid.discretise import check_holds
+from gbid.discretise.exact import check_holds
 from gbid.identify.bias import Bias, bias_of
 from gbid.identify.data import Record, centred_rows
 from gbid.identify.data_notes import data_notes
@@ -37,7 +37,7 @@ from gbid.identify.uncertainty.covariance import (
 )
 from gbid.identify.uncertainty.profiles import Profiler
 from gbid.identify.uncertainty.residual_tests import Whiteness, whiteness_test
-from gbid.structure import kind_of
+from gbid.structure.kinds import kind_of
 
 _EQUAL = 1e-3  # largest relative difference of parameters that meet: the data tell it ever less well
 _NEARLY_ALL = 0.99  # smallest share of their difference in what the data do not determine

@@ -18,7 +18,7 @@ from gbid.identify.fitting import fitted, with_profiles
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Measured
 from gbid.identify.result import FitResult, FitStatus, StartsTried
-from gbid.structure import AnyStructure, kind_of
+from gbid.structure.kinds import AnyStructure, kind_of
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
 _SAME_IN_STD = 0.1  # largest difference of their parameters, in standard deviations

@@ -45,7 +45,10 @@ from gbid.identify.robust import Reweighted, RobustLoss, reweighted_solution, ro
 from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
-from gbid.structure import AnyStructure, Parameter, as_names, equations_of, kind_of, known_names
+from gbid.structure import Parameter
+from gbid.structure.kinds import AnyStructure, equations_of, kind_of
+from gbid.structure.linear import as_names
+from gbid.structure.parameter import known_names
 
 Recordings = Recording | Sequence[Recording]
 Measured = Recordings | FrequencyData | Sequence[Recording | FrequencyData]

@@ -30,8 +30,9 @@ from gbid.discretise.exact import (
 )
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
-from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
-from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
+from gbid.structure import Parameter, Structure
+from gbid.structure.kinds import kind_of
+from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts, Matrices, symbolic_matrices
 from gbid.structure.parameter import once
 
 # ---- What every predictor has, linear or not: free parameters, sizes, and regressors from the samples of a record.

@@ -35,7 +35,7 @@ import scipy
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.notes import FitNote
-from gbid.discretise import discretise
+from gbid.discretise.exact import discretise
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.judge import judge
 from gbid.identify.options import FitArguments
@@ -45,15 +45,9 @@ from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
 from gbid.identify.start.start import plant_data
-from gbid.structure import (
-    LinearModel,
-    LinearStructure,
-    Parameter,
-    Structure,
-    evaluate,
-    kind_of,
-    symbolic_matrices,
-)
+from gbid.structure import LinearModel, LinearStructure, Parameter, Structure
+from gbid.structure.kinds import kind_of
+from gbid.structure.linear import evaluate, symbolic_matrices
 
 
 @dataclass(frozen=True)

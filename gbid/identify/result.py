@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import h5py
@@ -705,18 +704,3 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return {
             name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()
         }
-
-
-def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:
-    """Write `result` to the HDF5 file `path`, with the `key` of its settings; `overwrite` as for `gbid.save`."""
-    hdf5.save(result, path, overwrite, key=key)
-
-
-def load_fit(path: str | Path) -> FitResult:
-    """Return the fit in the HDF5 file `path`, as `gbid.load` does.
-
-    Returns
-    -------
-    FitResult
-    """
-    return hdf5.load(path, FitResult)

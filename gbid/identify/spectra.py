@@ -12,11 +12,11 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.option_types import Positive
-from gbid.discretise import check_holds, hold_response
+from gbid.discretise.exact import check_holds, hold_response
 from gbid.identify.data import same_columns, select
 from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
-from gbid.structure import as_names
+from gbid.structure.linear import as_names
 
 _SEGMENTS = 12  # usual number of segments of the shortest recording, which overlap by half
 HANN = (4 / 9, 1 / 36)

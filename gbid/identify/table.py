@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
@@ -308,21 +307,6 @@ def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
 
 
 # ---- Tables of fits in files; docs/file-formats.md describes tree and columns.
-
-
-def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write the `table` of fits to the HDF5 file `path`; `overwrite` as for `gbid.save`."""
-    hdf5.save(table, path, overwrite)
-
-
-def load_table(path: str | Path) -> FitTable:
-    """Return the table of a campaign in `path`, ``results/<name>/table.h5``, as `gbid.load` does.
-
-    Returns
-    -------
-    FitTable
-    """
-    return hdf5.load(path, FitTable)
 
 
 def csv_table(fits: FitTable) -> Table:

@@ -21,8 +21,9 @@ from gbid.lpv.fit import LPVFit, fit_lpv
 from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, SCHEDULING, Domain, LPVModel, regressors
 from gbid.lpv.regression import in_terms, in_units_of_terms
 from gbid.recording import Recording
-from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure, equations_of, kind_of, scheduled
-from gbid.structure.scheduling import Schedule, term_name
+from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure
+from gbid.structure.kinds import equations_of, kind_of
+from gbid.structure.scheduling import Schedule, scheduled, term_name
 
 
 def fit_lpv_direct(

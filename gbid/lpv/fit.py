@@ -19,7 +19,6 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame
 from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
-from gbid.core.names import given_path
 from gbid.core.notes import SurfaceNote
 from gbid.core.tables import Cell, Column, Entry, Row, Table, shown_unit
 from gbid.identify import FitStatus
@@ -65,11 +64,11 @@ _TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
-class LPVFit(Brief, Pictured):
+class LPVFit(Brief, Pictured, hdf5.InFile):
     """Surfaces of k parameters with m terms each, their uncertainty, and the estimates to which they were fitted.
 
     For a gas bearing these are the fourteen key parameters in the order of `gbid.structure.KEY_PARAMETERS`, with the
-    six terms of `gbid.lpv.TERMS`, in the units of the model (SI per kg, bar, rpm).
+    six terms of `TERMS`, in the units of the model (SI per kg, bar, rpm).
 
     Attributes
     ----------
@@ -97,6 +96,8 @@ class LPVFit(Brief, Pictured):
         Remarks for the reader of the result.
     """
 
+    FILE = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", 2)
+
     model: Annotated[LPVModel, NOT_STORED]
     covariance: Annotated[FloatArray, Stored("SI per kg, bar, rpm", "covariance of the coefficients", "c c")]
     scatter: Annotated[FloatArray, Stored("SI per kg", "covariance of recordings about the surfaces", "k k")]
@@ -107,6 +108,31 @@ class LPVFit(Brief, Pictured):
     options: Mapping[str, str] = field(default_factory=dict)
     status: FitStatus = FitStatus.CONVERGED
     notes: tuple[str, ...] = ()
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write all fields but the model, of which a file beside it has the text."""
+        hdf5.write_fields(group, self)
+        group.attrs.update({"model": self.model.name, "success": self.success})
+        hdf5.add_texts(group, "parameters", KEY_PARAMETERS)
+        hdf5.add_texts(group, "terms", TERMS)
+        words = "coefficients, parameters by terms"
+        hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", words)
+
+    def write_beside(self, path: Path, overwrite: bool) -> None:
+        """Write the model beside the file `path`, to a model file with the ending .yaml."""
+        save_model(self.model, path.with_suffix(".yaml"), overwrite)
+
+    @classmethod
+    def from_hdf5(cls, group: h5py.Group) -> LPVFit:
+        """Return the fit in a file, with the model in the model file beside it."""
+        path = Path(group.file.filename).with_suffix(".yaml")
+        fit = hdf5.read_fields(group, LPVFit, model=load_model(path))
+        stored = hdf5.read_dataset(group, "coefficients")
+        if stored.shape != fit.coefficients.shape or not np.allclose(stored, fit.coefficients, rtol=1e-9, atol=0):
+            raise DataError(
+                f"{group.file.filename}: belongs to other coefficients than {path}; fit again, or use files of one fit"
+            )
+        return fit
 
     @property
     def success(self) -> bool:
@@ -226,7 +252,7 @@ class LPVFit(Brief, Pictured):
     def characteristics(self) -> tuple[FloatArray, FloatArray]:
         """Delays, modes and static gains of the estimates and of the surfaces, each (n, 10): Figs. 14 to 18.
 
-        Columns are in the order of `gbid.lpv.CHARACTERISTICS`. They are those of a gas bearing.
+        Columns are in the order of `CHARACTERISTICS`. They are those of a gas bearing.
         """
         self.model.need_bearing()
         return characteristics(self.estimates.values), characteristics(self.surface)
@@ -380,7 +406,7 @@ def fit_lpv(
     order : int, "auto" or sequence of str
         Order of the polynomials: 0 to 2 for a gas bearing, 0 to 3 with `structure`. ``"auto"`` chooses it up to 2 by
         cross-validation over operating points, without terms in a variable that does not vary. A sequence names terms:
-        those of `gbid.lpv.TERMS`, or with `structure` names such as ``"1", "gap", "gap^2", "gap current"``.
+        those of `TERMS`, or with `structure` names such as ``"1", "gap", "gap^2", "gap current"``.
     robust : bool
         Whether estimates far from a surface get less weight (Huber).
     actuators : dict of str to float, optional
@@ -513,82 +539,3 @@ def _negative_delays(model: LPVModel) -> tuple[str, ...]:
         for key in delays
         if values[key][at := int(np.argmin(values[key]))] < 0
     )
-
-
-# ---- Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it.
-
-
-KIND = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", 2)
-
-
-def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: str = "") -> None:
-    """Write a surface fit: the model to ``path``, which `gbid.load_model` reads, the other fields to an .h5 beside it.
-
-    Parameters
-    ----------
-    fit : LPVFit
-        The fit.
-    path : path
-        The model file, ending in .yaml; the other file has the same name ending in .h5.
-    overwrite : bool
-        Whether existing files may be replaced.
-    key : str
-        Text that identifies settings and data of the fit; stored as attribute ``key``.
-
-    Raises
-    ------
-    UsageError
-        When a file exists and `overwrite` is not set, or when `path` has another ending.
-    DataError
-        When a file cannot be written.
-    """
-    path = given_path(path)
-    beside = path.with_suffix(".h5")
-    if beside.exists() and not overwrite:
-        raise UsageError(f"{beside} exists already; choose another name or set overwrite")
-    save_model(fit.model, path, overwrite)
-    with hdf5.writing(beside, KIND, overwrite) as file:
-        write_uncertainty(fit, file, key)
-
-
-def write_uncertainty(fit: LPVFit, file: h5py.File, key: str) -> None:
-    """Write all fields of a fit except its model."""
-    hdf5.write_fields(file, fit)
-    file.attrs.update({"key": key, "model": fit.model.name, "success": fit.success})
-    hdf5.add_texts(file, "parameters", KEY_PARAMETERS)
-    hdf5.add_texts(file, "terms", TERMS)
-    words = "coefficients, parameters by terms"
-    hdf5.add_dataset(file, "coefficients", fit.coefficients, "SI per kg, bar, rpm", words)
-
-
-def load_lpv_fit(path: str | Path) -> LPVFit:
-    """Return the surface fit in the files of `save_lpv_fit`.
-
-    Parameters
-    ----------
-    path : path
-        The model file or the .h5; both must be in the same folder.
-
-    Returns
-    -------
-    LPVFit
-        The fit.
-
-    Raises
-    ------
-    UsageError
-        When the model file is missing or faulty.
-    DataError
-        When the .h5 is missing, damaged, or belongs to another model.
-    """
-    path = given_path(path)
-    if path.suffix == ".h5":
-        path = path.with_suffix(".yaml")
-    model = load_model(path)
-    beside = path.with_suffix(".h5")
-    with hdf5.reading(beside, KIND) as file:
-        fit = hdf5.read_fields(file, LPVFit, model=model)
-        stored = hdf5.read_dataset(file, "coefficients")
-    if stored.shape != fit.coefficients.shape or not np.allclose(stored, fit.coefficients, rtol=1e-9, atol=0):
-        raise DataError(f"{beside}: belongs to other coefficients than {path}; fit again, or use the files of one fit")
-    return fit

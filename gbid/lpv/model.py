@@ -18,7 +18,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
 from gbid.core.option_types import Positive, check_options, checks_arguments
 from gbid.core.published import PUBLISHED_RMS
-from gbid.discretise import check_holds
+from gbid.discretise.exact import check_holds
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
 from gbid.structure.linear import Structure, model_function
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
@@ -277,7 +277,7 @@ class LPVModel(Brief):
         Name of the model.
     coefficients : dict of str to floats
         Coefficients of the terms for each parameter that is a surface. For a gas bearing six for each of the fourteen
-        key parameters (`gbid.structure.KEY_PARAMETERS`), in the order of `gbid.lpv.TERMS` (Eq. 16), in SI per kg: k and
+        key parameters (`gbid.structure.KEY_PARAMETERS`), in the order of `TERMS` (Eq. 16), in SI per kg: k and
         b [N/(kg m)], d [N s/(kg m)], tau [s], per bar and rpm.
     domain : Domain
         Scheduling variables, and their range in which the model is valid.
@@ -377,7 +377,7 @@ class LPVModel(Brief):
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the terms of the polynomials; for a gas bearing `gbid.lpv.TERMS`."""
+        """Names of the terms of the polynomials; for a gas bearing `TERMS`."""
         return tuple(term_name(exponent, self.scheduling) for exponent in self.exponents)
 
     def key_parameters(self, *point: Any, extrapolate: bool = False, **variables: Any) -> dict[str, Any]:

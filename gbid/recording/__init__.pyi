@@ -9,10 +9,6 @@ from .mapping import (
     SignalMapping as SignalMapping,
 )
 from .quality import (
-    ProblemKind as ProblemKind,
-    SignalProblem as SignalProblem,
-    content_digest as content_digest,
-    find_group_problems as find_group_problems,
     find_problems as find_problems,
 )
 from .recording import (

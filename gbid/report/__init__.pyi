@@ -10,8 +10,6 @@ from .diagrams import (
     plot_rotor_bearing_model as plot_rotor_bearing_model,
 )
 from .impact_pictures import (
-    ImpactCurves as ImpactCurves,
-    ImpactLoops as ImpactLoops,
     impact_data as impact_data,
     impact_loops_data as impact_loops_data,
     impact_validation_data as impact_validation_data,
@@ -19,9 +17,6 @@ from .impact_pictures import (
     plot_impact_loops as plot_impact_loops,
 )
 from .loop_pictures import (
-    DampingMap as DampingMap,
-    ParetoCurves as ParetoCurves,
-    RootLocus as RootLocus,
     damping_map_data as damping_map_data,
     designs_pareto_data as designs_pareto_data,
     plot_cycle as plot_cycle,
@@ -33,8 +28,6 @@ from .loop_pictures import (
     root_locus_data as root_locus_data,
 )
 from .measured_pictures import (
-    PiezoStaircase as PiezoStaircase,
-    piezo_data as piezo_data,
     plot_actuator_parameters as plot_actuator_parameters,
     plot_fit_histogram as plot_fit_histogram,
     plot_piezo_hysteresis as plot_piezo_hysteresis,
@@ -45,9 +38,6 @@ from .measured_pictures import (
     plot_static_map as plot_static_map,
 )
 from .model_pictures import (
-    bode_data as bode_data,
-    campbell_data as campbell_data,
-    orbit_data as orbit_data,
     plot_bode as plot_bode,
     plot_campbell as plot_campbell,
     plot_impulse as plot_impulse,
@@ -57,15 +47,11 @@ from .model_pictures import (
     plot_orders as plot_orders,
     plot_profile as plot_profile,
     plot_step as plot_step,
-    pole_data as pole_data,
-    response_data as response_data,
 )
 from .pictures import (
     plot as plot,
 )
 from .surface_pictures import (
-    PressurePanel as PressurePanel,
-    Surface as Surface,
     fit_over_pressure_data as fit_over_pressure_data,
     fit_surfaces_data as fit_surfaces_data,
     over_pressure_data as over_pressure_data,

@@ -9,7 +9,6 @@ from math import isnan
 
 import numpy as np
 
-from gbid.control import close_loop, impact_response
 from gbid.control.assessment import FIGURES as POINT_FIGURES
 from gbid.control.assessment import (
     NO_IMPACT,
@@ -19,6 +18,8 @@ from gbid.control.assessment import (
     conditions_words,
     design_tables,
 )
+from gbid.control.loop.close import close_loop
+from gbid.control.loop.half_sine import impact_response
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError

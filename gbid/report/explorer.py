@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control import PStructure, close_loop, p_controller
+from gbid.control.controllers.built_in import PStructure
+from gbid.control.controllers.structures import p_controller
+from gbid.control.loop.close import close_loop
 from gbid.control.loop.norm import largest_singular_values
 from gbid.core.arrays import FloatArray, is_real, point_label
 from gbid.lpv import LPVModel

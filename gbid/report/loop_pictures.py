@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from gbid.control import SensitivityData, close_loop, sensitivity_data, smallest_damping
 from gbid.control.assessment import TunedDesign
+from gbid.control.loop.close import close_loop, smallest_damping
+from gbid.control.loop.sensitivity import SensitivityData, sensitivity_data
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError

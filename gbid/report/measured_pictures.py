@@ -53,7 +53,7 @@ def plot_actuator_parameters(nominal: NominalActuator, ax: Sequence[Axes] | None
     Parameters
     ----------
     nominal : NominalActuator
-        Result of `gbid.nominal_actuator`, with the values of all recordings.
+        Result of `gbid.validate.nominal_actuator`, with the values of all recordings.
     ax : sequence of six matplotlib Axes, optional
         Axes by rows: gain, slow pole, fast pole; columns: x, y. A new figure when left out.
 

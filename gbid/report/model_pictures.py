@@ -12,14 +12,17 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivity_zones
+from gbid.control import ISO_LIMITS, Sensitivities
+from gbid.control.loop.sensitivity import SensitivityZones, sensitivity_zones
 from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
-from gbid.identify import Profile, SubspaceOrders, select
+from gbid.identify import Profile
+from gbid.identify.data import select
 from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.spectra import MeasuredResponse
+from gbid.identify.start.black_box import SubspaceOrders
 from gbid.identify.uncertainty.curves import (
     LEVEL,
     Bode,
@@ -460,7 +463,7 @@ def plot_orders(orders: SubspaceOrders, ax: npt.ArrayLike | Axes | None = None) 
     Parameters
     ----------
     orders : SubspaceOrders
-        Result of `gbid.subspace_orders`.
+        Result of `gbid.identify.subspace_orders`.
     ax : array of matplotlib Axes, optional
         Two axes; a new figure when left out.
 

@@ -39,6 +39,7 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
+from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
 from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.prefilter.filtering import correction_rows, read_report
 from gbid.recording import Recording
@@ -229,7 +230,7 @@ POINT = (6.0, 0.0)
 """Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
 
 
-def published_gains(machine: lpv.PublishedMachine) -> lpv.ProportionalDesign:
+def published_gains(machine: PublishedMachine) -> ProportionalDesign:
     """Return the published gains and low-pass of a machine.
 
     Raises
@@ -242,7 +243,7 @@ def published_gains(machine: lpv.PublishedMachine) -> lpv.ProportionalDesign:
     return machine.controller
 
 
-def published_controller(machine: lpv.PublishedMachine) -> LinearModel:
+def published_controller(machine: PublishedMachine) -> LinearModel:
     """Return the controller of `published_gains`."""
     d = published_gains(machine)
     return control.p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
@@ -383,7 +384,7 @@ class Results:
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
 
     @property
-    def published_machine(self) -> lpv.PublishedMachine:
+    def published_machine(self) -> PublishedMachine:
         """Machine file of the rig, which must exist: the model, and what its source publishes beside it."""
         if self.experiment.spec.rig is None:
             raise DataError("this experiment has no virtual rig, so there is no description of the machine")

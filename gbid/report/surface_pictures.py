@@ -16,7 +16,8 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
-from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics
+from gbid.lpv import LPVFit, LPVModel
+from gbid.lpv.model import CHARACTERISTICS, characteristics
 from gbid.lpv.model_file import SI_UNITS
 from gbid.report.canvas import (
     BLUE,

@@ -25,8 +25,8 @@ from gbid.experiment.stages.loop import cost_tables, made_costs
 from gbid.experiment.stages.prefilter import MAP
 from gbid.experiment.stages.static import load_made_static
 from gbid.identify.fit_tables import fit_tables
-from gbid.prefilter import PrefilterFile
-from gbid.recording import load_recording
+from gbid.prefilter.filtering import PrefilterFile
+from gbid.recording.recording import load_recording
 from gbid.report.campaign_tables import conditions_text
 from gbid.report.read import read_fit
 
@@ -79,7 +79,8 @@ def _static(job: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, Any]]:
 def _surfaces(_: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, lpv.LPVFit]]:
     for outcome in _made(outcomes, "lpv"):
         if outcome.path.suffix == ".yaml":
-            yield {"item": outcome.item.section, "path": str(outcome.path)}, lpv.load_lpv_fit(outcome.path)
+            fit = load(outcome.path.with_suffix(".h5"), lpv.LPVFit)
+            yield {"item": outcome.item.section, "path": str(outcome.path)}, fit
 
 
 def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:

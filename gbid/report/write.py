@@ -10,7 +10,7 @@ from pathlib import Path
 from gbid.core.errors import DataError, UsageError
 from gbid.experiment.fields import Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
-from gbid.identify import SubspaceOrders
+from gbid.identify.start.black_box import SubspaceOrders
 from gbid.report.control_sections import (
     controller_section,
     cycle_section,

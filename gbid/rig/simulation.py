@@ -229,8 +229,8 @@ def record(machine: Machine, experiment: Experiment, options: RecordOptions) -> 
 
     The experiment runs for `settle_s` before the logger starts, so the recording begins in motion. The initial shaft
     angle differs from recording to recording. When all parts of the machine are linear and there is no control loop,
-    the motion is computed in closed form (`gbid.rig.driven_motion`). Otherwise it is computed by time stepping
-    (`gbid.rig.stepped_motion`).
+    the motion is computed in closed form (`driven_motion`). Otherwise it is computed by time stepping
+    (`stepped_motion`).
 
     Parameters
     ----------

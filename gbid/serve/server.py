@@ -23,11 +23,12 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import numpy as np
 from markupsafe import Markup
 
-from gbid.control import controller_at, impact_response, sampled_loop, sensitivities
+from gbid.control.controllers.structures import controller_at
 from gbid.control.loop.close import smallest_damping
+from gbid.control.loop.half_sine import impact_response
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.loop.sampled import exact_plant
-from gbid.control.loop.sensitivity import static_amplification
+from gbid.control.loop.sampled import exact_plant, sampled_loop
+from gbid.control.loop.sensitivity import sensitivities, static_amplification
 from gbid.core.arrays import ComplexArray, is_real, oscillatory_modes
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.index import load_index, version_of

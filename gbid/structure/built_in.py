@@ -58,8 +58,8 @@ class RotorBearing(Brief):
         are those of small amplitudes.
     unbalance : bool
         Whether a mass unbalance acts on the rotor, with the unknowns e_cos and e_sin [m]. A second input "unbalance"
-        then has the channels Omega^2 cos(phi) and Omega^2 sin(phi), see `gbid.with_unbalance`. It is for recordings in
-        which the speed changes, where no map over the shaft angle removes the response to it.
+        then has the channels Omega^2 cos(phi) and Omega^2 sin(phi), see `gbid.recording.with_unbalance`. It is for
+        recordings in which the speed changes, where no map over the shaft angle removes the response to it.
 
     Raises
     ------

@@ -15,8 +15,9 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import checks_arguments
-from gbid.discretise import Exponentials, Hold, delayed_taps, discretise
+from gbid.discretise import Hold
 from gbid.discretise.dual import Dual
+from gbid.discretise.exact import Exponentials, delayed_taps, discretise
 from gbid.structure.models import LinearModel
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 

@@ -128,8 +128,8 @@ class MagneticBearing(Brief):
     Parameters
     ----------
     rotor : Structure
-        Rotor from currents to positions: a `RigidRotor`, or one that `gbid.from_ross` makes, with its currents as the
-        only inputs.
+        Rotor from currents to positions: a `RigidRotor`, or one made by `gbid.export.from_ross`, with its currents
+        as the only inputs.
     amplifier_hz, amplifier_delay_s : float
         Bandwidth [Hz] and delay [s] of the amplifiers: the start values of ``omega_amplifier`` [rad/s] and
         ``tau_amplifier`` [s]. The delay is exact.

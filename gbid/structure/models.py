@@ -19,8 +19,8 @@ from gbid.core.extras import extra_package
 from gbid.core.figures import Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import OneText, check_options
-from gbid.discretise import (
-    Hold,
+from gbid.discretise import Hold
+from gbid.discretise.exact import (
     check_holds,
     delayed_taps,
     discretise,

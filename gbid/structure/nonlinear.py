@@ -17,7 +17,8 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import NoValueAtStartError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import Allowed, Exact, OneText, check_options, checks_arguments
-from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
+from gbid.discretise import Hold
+from gbid.discretise.steps import IntegratorName, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
 from gbid.structure.models import LinearModel, SampledSignals, check_clock
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields

@@ -32,7 +32,7 @@ Exponents = tuple[tuple[int, ...], ...]
 
 
 def exponents_of(order: int, n_variables: int = 2) -> Exponents:
-    """Return the powers of the scheduling variables up to a total order; for two in the order of `gbid.lpv.TERMS`."""
+    """Return the powers of the scheduling variables up to a total order; for two in the order of `TERMS`."""
     if n_variables == 2:
         higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
         return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
@@ -41,7 +41,7 @@ def exponents_of(order: int, n_variables: int = 2) -> Exponents:
 
 
 def term_name(exponent: Sequence[int], scheduling: Sequence[str] = SCHEDULING) -> str:
-    """Return the name of a term: for a gas bearing as in `gbid.lpv.TERMS`, else as ``"current^2 gap"``."""
+    """Return the name of a term: for a gas bearing as in `TERMS`, else as ``"current^2 gap"``."""
     if tuple(scheduling) == SCHEDULING:
         if tuple(exponent) in EXPONENTS:
             return TERMS[EXPONENTS.index((exponent[0], exponent[1]))]

@@ -13,7 +13,7 @@ import numpy as np
 
 from gbid.core.errors import UsageError
 from gbid.core.names import given_path
-from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
+from gbid.discretise.exact import check_holds, delayed_taps, discretise, squarings_for
 from gbid.structure.kinds import AnyStructure, equations_of, kind_of
 from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 from gbid.structure.models import LinearModel, check_sample_time

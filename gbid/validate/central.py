@@ -20,7 +20,8 @@ from gbid.core.files import atomic_path
 from gbid.core.names import given_path
 from gbid.core.tables import Column, Entry, Row, Table, Value, finite_or_none, plain_table
 from gbid.core.yaml_file import read_yaml, write_yaml
-from gbid.identify import FitResult, FitTable, TableEntry, tabulate
+from gbid.identify import FitResult, FitTable
+from gbid.identify.table import TableEntry, tabulate
 from gbid.structure import PiezoPair
 from gbid.validate.crossval import PointSummary, ValidationSummary
 

@@ -12,11 +12,13 @@ from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Figure, Pictured
 from gbid.core.tables import Column, Entry, Table
-from gbid.identify import FitResult, whiteness_test
+from gbid.identify import FitResult
 from gbid.identify.data import select
 from gbid.identify.uncertainty.curves import Tabled
+from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.recording import Recording
-from gbid.structure import LinearModel, as_names
+from gbid.structure import LinearModel
+from gbid.structure.linear import as_names
 from gbid.validate.simulate import at_clock_of, fit_percent, refuse_scheduled, simulator, simulator_of
 
 Models = LinearModel | FitResult | Sequence[LinearModel | FitResult] | Mapping[str, LinearModel | FitResult]

@@ -12,8 +12,9 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Pictured
-from gbid.identify import FitResult, correlation, select, whiteness_test
-from gbid.identify.uncertainty.residual_tests import input_test
+from gbid.identify import FitResult
+from gbid.identify.data import select
+from gbid.identify.uncertainty.residual_tests import correlation, input_test, whiteness_test
 from gbid.prefilter.runout import turns_per_second
 from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording

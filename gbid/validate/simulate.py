@@ -12,8 +12,9 @@ import scipy
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, recursion
 from gbid.core.errors import DataError, UsageError
-from gbid.discretise import discretise
-from gbid.identify import FitResult, select
+from gbid.discretise.exact import discretise
+from gbid.identify import FitResult
+from gbid.identify.data import select
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.recording import Recording
 from gbid.recording.recording import without_gaps
@@ -397,7 +398,7 @@ def refuse_scheduled(result: FitResult) -> None:
     if result.schedule is not None:
         raise UsageError(
             f"the parameters of {result.structure!r} follow {', '.join(result.schedule.variables)}; its model "
-            "is that of the middle of their range. Take gbid.lpv_of(result).model.at(...) at an operating point"
+            "is that of the middle of their range. Take gbid.lpv.lpv_of(result).model.at(...) at an operating point"
         )
 
 

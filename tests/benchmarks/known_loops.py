@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 import gbid
-from gbid.structure import pade_delay
+from gbid.structure.delay import pade_delay
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ import numpy as np
 import gbid
 from gbid import NonlinearStructure, Parameter, Recording
 from gbid.core.arrays import FloatArray
-from gbid.structure import equations_of, nonlinear_model
+from gbid.structure import nonlinear_model
+from gbid.structure.kinds import equations_of
 from gbid.structure.linear import symbolic_matrices
 from tests.benchmarks.baselines import gauss_newton
 from tests.benchmarks.running import DOCS, markdown, options_of, run_study, stored, timed

@@ -118,7 +118,7 @@ CASES = (
     ),
     Case(
         "magnetic bearing, responses of its loop",
-        gbid.MagneticBearing(gbid.RigidRotor(mass_kg=2.0)),
+        gbid.MagneticBearing(gbid.structure.RigidRotor(mass_kg=2.0)),
         BEARING,
         lambda seed: loop_responses(seed).channels("i", "p", reference="r"),
     ),

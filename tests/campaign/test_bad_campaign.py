@@ -6,7 +6,7 @@ from experiment_files import printed_by
 from own_files import BY_NAME, SIGNALS, columns_of, write_file
 from rig_point import machine
 
-from gbid import load_table
+from gbid import load
 from gbid.rig import Faults, Prbs, Stationary, record
 
 FITS = """\
@@ -75,7 +75,7 @@ def test_each_fault_is_named_and_the_rest_is_fitted(folder, capsys):
     told = printed_by(capsys, "batch", folder, "--engine", "serial", code=3).err.splitlines()
     reasons = [line for line in told if line.startswith("gbid: error: import ")]
     assert len(reasons) == len(BAD)
-    table = load_table(folder.parent / "results" / "own" / "table.h5")
+    table = load(folder.parent / "results" / "own" / "table.h5")
     assert len(table) == 2 * (len(GOOD) + len(BAD))
     for i in range(len(table)):
         name = str(table.model[i])

@@ -19,7 +19,7 @@ from campaign_files import alive, batch, interrupts_blocked, left_over, rows_of,
 from experiment_files import gbid, json_of, printed_by, write_spring_data
 from places import SUPPORT
 
-from gbid import load_table
+from gbid import load
 from gbid.core.errors import NoSpaceError, UsageError
 from gbid.core.files import remove_stale_parts
 from gbid.experiment.campaign import (
@@ -41,7 +41,6 @@ from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
 from gbid.experiment.stages import importing
 from gbid.experiment.stages.fit import fit_tasks
 from gbid.experiment.stages.rig import rig_tasks
-from gbid.identify import load_fit
 
 PROC = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc to find the workers")
 
@@ -81,12 +80,12 @@ def table_of(path):
 
 
 def test_table_is_that_of_the_fits(springs):
-    table = load_table(results_of(springs) / "table.h5")
+    table = load(results_of(springs) / "table.h5")
     rows = table_of(springs)
     assert len(table) == len(rows) == 10
     assert table.success.all()
     for i, row in enumerate(rows):
-        result = load_fit(results_of(springs) / "fits" / "spring" / f"{row['model']}.h5")
+        result = load(results_of(springs) / "fits" / "spring" / f"{row['model']}.h5")
         assert table.row("spring", row["model"])["k"] == result.parameters["k"] == float(row["k"])
         assert float(row["k_std"]) == result.std["k"]
         np.testing.assert_array_equal(table.covariance[i], result.covariance)
@@ -364,7 +363,7 @@ def test_single_fits_at_the_same_time(springs, fresh, capsys):
     there = sorted(results_of(fresh).rglob("*.h5"))
     assert [file.stem for file in there] == ["run2", "run7"] * 2
     for i in (2, 7):
-        ours, batched = (load_fit(results_of(p) / "fits" / "spring" / f"run{i}.h5") for p in (fresh, springs))
+        ours, batched = (load(results_of(p) / "fits" / "spring" / f"run{i}.h5") for p in (fresh, springs))
         assert ours.parameters == batched.parameters
     assert left_over(results_of(fresh)) == []
     assert json_of(capsys, "batch", fresh)["stages"]["fit"] == {"made": 8, "kept": 2, "failed": 0, "not_converged": 0}
@@ -413,7 +412,7 @@ def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
     err = printed_by(capsys, "batch", path, "--engine", "serial", code=3).err
     assert "gbid: error: import run2: " in err
     assert "sample 7" in err
-    table = load_table(results_of(path) / "table.h5")
+    table = load(results_of(path) / "table.h5")
     assert table.success.sum() == 3
     assert not table.success[1]
     assert "failed: import run2: " in table.status[1]
@@ -428,7 +427,7 @@ def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
     write_spring_data(tmp_path / "data" / "run2.csv", 2, n=400)  # other data: tried without being asked
     assert gbid("batch", path) == 0
     assert not record.exists()
-    assert load_table(results_of(path) / "table.h5").success.all()
+    assert load(results_of(path) / "table.h5").success.all()
 
 
 def test_what_has_nothing_to_start_from_is_not_run(tmp_path):
@@ -467,7 +466,7 @@ def test_progress_of_many(tmp_path, damage, capsys):
 def test_an_item_that_does_not_converge_is_in_the_table(tmp_path):
     path = write_springs(tmp_path, 2, fit="focus: simulation, max_iterations: 1")
     assert gbid("batch", path) == 4
-    table = load_table(results_of(path) / "table.h5")
+    table = load(results_of(path) / "table.h5")
     assert not table.success.any()
     assert np.isfinite(table.values).all()
 
@@ -550,7 +549,7 @@ def test_a_table_of_others_is_left_and_nothing_made_is_said(tmp_path):
     assert np.isnan(table.pressure_bar[0])
     again, outcomes = collect(job)
     assert {outcome.state for outcome in outcomes} == {"kept"}
-    assert len(again) == len(load_table(job.path("", "table", ending=".h5"))) == 1
+    assert len(again) == len(load(job.path("", "table", ending=".h5"))) == 1
     table_path = job.path("", "table", ending=".csv")
     table_path.write_text("of someone else")
     assert [outcome.state for outcome in collect(job)[1]] == ["kept", "failed"]

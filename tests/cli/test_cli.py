@@ -11,9 +11,9 @@ from experiment_files import files_in, gbid, json_of, printed_by, write_quick, w
 from figure_cases import BlankPictures
 from json_keys import KEYS, assert_keys
 
+from gbid import load
 from gbid.experiment.campaign import locked
 from gbid.experiment.load import disk_space, load_experiment, peek_recordings
-from gbid.identify import load_fit
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -186,7 +186,7 @@ def test_tables_fit_a_terminal_of_80_columns(quick, capsys):
     for unit in ("N s/(kg m)", "rad/s", "1/s^2"):
         assert unit in out
     assert len(re.findall(r"^note       the inputs are known .*\n           \S", out, re.MULTILINE)) == 2
-    result = load_fit(next((job.experiment.results / "fits" / "bearing").glob("*.h5")))
+    result = load(next((job.experiment.results / "fits" / "bearing").glob("*.h5")))
     lines = dict(summary_lines(fit_document(result, {"tau_x": 0.9 * result.parameters["tau_x"]})))
     assert re.match(r"many standard deviations from the truth: tau_x \(\+\d\d+\)", lines["note"])
 

@@ -7,7 +7,7 @@ import pytest
 from experiment_files import gbid, printed_by
 from scipy.io import savemat
 
-from gbid import load_fit, load_recording
+from gbid import load, load_recording
 from gbid.cli import files as new
 from gbid.experiment.draft import read_names
 from gbid.experiment.load import load_experiment
@@ -293,7 +293,7 @@ def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):
     assert gbid("import", experiment, "--engine", "serial") == 0
     assert gbid("fit", experiment, "--engine", "serial") == 0
     for path in (f"{fit}/{run}.h5" for fit in ("bearing", "position_loop") for run in ("run1", "run2")):
-        fit = load_fit(experiment.parent / "results" / "magnetic_bearing" / "fits" / path)
+        fit = load(experiment.parent / "results" / "magnetic_bearing" / "fits" / path)
         for name, true in (("k_s", 4e4), ("k_i", 60.0)):
             assert abs(fit.parameters[name] - true) < 4 * fit.std[name] < 0.1 * true
     assert gbid("report", experiment) == 0

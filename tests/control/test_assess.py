@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.control import MaxDamping, PStructure, scheduled
+from gbid.control import MaxDamping, scheduled
 from gbid.control.assessment import FIGURES, DesignFigures, comparison_table, conditions_words
+from gbid.control.controllers.built_in import PStructure
 from gbid.core.errors import UsageError
 
 MACHINE = gbid.load_model("theisen2016")

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 import gbid
 from gbid.cli.main import app
-from gbid.control import BiquadStructure, GainStatus, PStructure, controller_model, sample_controller, scheduled
+from gbid.control import GainStatus, controller_model, sample_controller, scheduled
+from gbid.control.controllers.built_in import BiquadStructure, PStructure
 from gbid.core.errors import UsageError
 from gbid.export.chain import ChainOptions, chain_of
 

@@ -7,14 +7,8 @@ import pytest
 from own_controller import own
 
 import gbid
-from gbid.control import (
-    PStructure,
-    Scheduled,
-    controller_at,
-    controller_model,
-    p_controller,
-    scheduled,
-)
+from gbid.control import Scheduled, controller_at, controller_model, p_controller, scheduled
+from gbid.control.controllers.built_in import PStructure
 from gbid.core.errors import UsageError
 from gbid.lpv import Domain
 from gbid.structure import LinearModel

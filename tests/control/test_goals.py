@@ -32,11 +32,11 @@ from gbid.control import (
     loop_margins,
     recorded_disturbance,
     sample_controller,
-    sample_plant,
     sensitivities,
     static_amplification,
 )
 from gbid.control.controllers.structures import controller_structure
+from gbid.control.loop.close import sample_plant
 from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import LpvPlants, TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem

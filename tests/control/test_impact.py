@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import gbid
-from gbid.control import HalfSine, close_loop, exact_plant, force_entry, impact_response, p_controller
+from gbid.control import HalfSine, close_loop, exact_plant, impact_response, p_controller
 from gbid.control.impact.measured import force_response
+from gbid.control.loop.close import force_entry
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel, PiezoPair, evaluate
 

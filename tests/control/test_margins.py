@@ -19,9 +19,9 @@ from gbid.control import (
     p_controller,
     slow_poles,
     static_amplification,
-    static_force_gain,
-    static_stiffness_ratio,
 )
+from gbid.control.loop.close import static_force_gain
+from gbid.control.loop.sensitivity import static_stiffness_ratio
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
@@ -64,7 +64,7 @@ def test_delay_margin_of_the_published_loop() -> None:
             delay = np.array(plant.delay)
             delay[i] += factor * margin.delay_s
             delayed = replace(plant, delay=delay)
-            assert close_loop(gbid.with_pade(delayed, 12), p_controller(1.125, 0.99)).is_stable() is stable
+            assert close_loop(gbid.structure.with_pade(delayed, 12), p_controller(1.125, 0.99)).is_stable() is stable
 
 
 def test_disk_margin_of_a_lag_by_python_control() -> None:

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.stats import binom
 
 import gbid
-from gbid.control import find_impacts
+from gbid.control.impact.measured import find_impacts
 from gbid.control.impact.ringdown import RingProblem
 from gbid.core.errors import DataError, UsageError
 

@@ -11,15 +11,8 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import gbid
-from gbid.control import (
-    close_loop,
-    controller_model,
-    exact_plant,
-    p_controller,
-    sample_controller,
-    sample_plant,
-    sampled_loop,
-)
+from gbid.control import close_loop, controller_model, exact_plant, p_controller, sample_controller, sampled_loop
+from gbid.control.loop.close import sample_plant
 from gbid.control.loop.norm import largest_singular_values
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
@@ -81,7 +74,7 @@ def test_fast_sampling_is_the_continuous_loop(point: tuple[float, float]) -> Non
     Not so the peak at 3 bar, 6000 rpm: there it gives way to the gain at rest, which sampling does not change.
     """
     plant = exact_plant(MACHINE, *point)
-    expected = [close_loop(gbid.with_pade(plant, 8), PAPER).modes()[0][1]]
+    expected = [close_loop(gbid.structure.with_pade(plant, 8), PAPER).modes()[0][1]]
     if point == (6, 0):
         expected.append(gbid.sensitivities(plant, PAPER).peak("output").value)
     results = []

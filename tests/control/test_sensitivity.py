@@ -108,7 +108,7 @@ def test_exact_delay_against_a_dense_grid_and_high_pade_orders() -> None:
         loop.model("output")
     dense = largest_singular_values(loop.response("output", np.linspace(0, 200, 20001))).max()
     assert loop.peak("output").value == pytest.approx(dense, rel=1e-9)
-    pade = gbid.sensitivities(gbid.with_pade(plant, 8), PAPER).peak("output")
+    pade = gbid.sensitivities(gbid.structure.with_pade(plant, 8), PAPER).peak("output")
     assert loop.peak("output").value == pytest.approx(pade.value, rel=1e-7)
 
 

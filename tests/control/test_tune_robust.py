@@ -11,7 +11,6 @@ import gbid
 from gbid.control import (
     MaxDamping,
     PeakSensitivity,
-    PlantDraws,
     Uncertainty,
     controller_model,
     price_of_robustness,
@@ -20,9 +19,9 @@ from gbid.control import (
     tune_robust,
 )
 from gbid.control.tuning.plants import root_of
-from gbid.control.tuning.robust import lower_bound
+from gbid.control.tuning.robust import PlantDraws, lower_bound
 from gbid.core.errors import UsageError
-from gbid.lpv import TERMS
+from gbid.lpv.model import TERMS
 from gbid.structure import KEY_PARAMETERS
 
 MODEL = gbid.load_model("theisen2016")

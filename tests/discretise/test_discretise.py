@@ -11,7 +11,8 @@ from scipy.signal import cont2discrete, lfilter
 
 from gbid.core.arrays import recursion
 from gbid.core.errors import UsageError
-from gbid.discretise import check_holds, discretise, exponentials, propagate, squarings_for
+from gbid.discretise import discretise, exponentials, propagate, squarings_for
+from gbid.discretise.exact import check_holds
 
 
 def reference(Z):

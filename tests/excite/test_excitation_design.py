@@ -5,8 +5,8 @@ import pytest
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.excite import ExcitationLimits, KnownModel, PossibleMachine, expected_covariance, known_model
-from gbid.excite.goal import LineModel, goal_of, quantities_of, simulated_outputs
+from gbid.excite import ExcitationLimits, KnownModel, PossibleMachine, known_model
+from gbid.excite.goal import LineModel, expected_covariance, goal_of, quantities_of, simulated_outputs
 from gbid.excite.signals import optimal_spectrum
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate

@@ -7,6 +7,7 @@ import pytest
 from experiment_files import write_quick
 
 import gbid
+from gbid import load
 from gbid.cli.stages import next_step
 from gbid.control import exact_plant, load_controller, ringing_modes
 from gbid.core.errors import UsageError
@@ -19,7 +20,6 @@ from gbid.experiment.stages.fit import FIT
 from gbid.experiment.stages.lpv import LPV
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.tune import TUNE
-from gbid.lpv import load_lpv_fit
 from gbid.report.control_sections import cycle_section
 from gbid.report.loop_pictures import plot_cycle
 from gbid.report.read import Results
@@ -110,7 +110,7 @@ def test_rows_are_read_as_written_and_shown(cycled, tmp_path):
 
 
 def test_standard_deviations_of_modes_are_those_of_draws(cycled):
-    fit = load_lpv_fit(cycled.experiment.results / "cycle" / "round1" / "lpv" / "bearing.yaml")
+    fit = load(cycled.experiment.results / "cycle" / "round1" / "lpv" / "bearing.h5")
     _, std = modes_of_surfaces(fit, 6.0, 0.0)
     drawn = [model.at(6.0, 0.0).modes()[:2] for model in fit.draw(400, seed=1)]
     np.testing.assert_allclose(std, np.std(np.array(drawn).transpose(0, 2, 1).reshape(400, 4), axis=0), rtol=0.15)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiment_files import gbid, printed_by
 
-from gbid.identify import load_fit
+from gbid import load
 
 STRUCTURE = """\
 from gbid import LinearStructure, Parameter
@@ -67,7 +67,7 @@ def test_decays_are_fitted_from_the_yaml(tmp_path, how):
 def fitted(path, **true):
     """The fit to both decays, whose parameters are the true ones."""
     assert gbid("import", path) == gbid("fit", path) == 0
-    result = load_fit(path.parent / "results" / "fits" / "spring" / "together.h5")
+    result = load(path.parent / "results" / "fits" / "spring" / "together.h5")
     assert result.success
     for name, value in true.items():
         assert abs(result.parameters[name] - value) < 4 * result.std[name]
@@ -98,7 +98,7 @@ def test_frequency_responses_are_fitted_with_the_decays(tmp_path, capsys):
     rows = [f"{hz},{g.real},{g.imag},1e-6" for hz, g in zip(f, 7.0 / (s**2 + 3.0 * s + 4000.0), strict=True)]
     (tmp_path / "frf.csv").write_text("\n".join(["frequency_hz,real,imaginary,std", *rows]))
     assert gbid("run", str(path)) == 0
-    result = load_fit(tmp_path / "results/fits/spring/together.h5")
+    result = load(tmp_path / "results/fits/spring/together.h5")
     for name, value in (("d", 3.0), ("b", 7.0)):  # the decays alone do not determine b
         assert abs(result.parameters[name] - value) < 5 * result.std[name]
     assert result.std["d"] < 0.01

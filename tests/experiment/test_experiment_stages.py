@@ -22,7 +22,7 @@ from gbid.experiment.stages.rig import RIG
 from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.lpv import load_model
-from gbid.prefilter import PrefilterFile
+from gbid.prefilter.filtering import PrefilterFile
 from gbid.recording import Recording, load_recording
 
 

@@ -47,7 +47,7 @@ def test_verb_draws_and_keeps_surfaces(campaign, capsys):
     for word in ("two-step", "direct", "omega_1", "coefficients", "bearing_direct.yaml"):
         assert word in shown
 
-    fit = gbid.load_lpv_fit(out / "lpv" / "bearing.yaml")
+    fit = gbid.load(out / "lpv" / "bearing.h5")
     published = gbid.load_model("theisen2016")
     assert fit.model.actuators == published.actuators
     computed, true = (m.at(3, 6000).modes() for m in (gbid.load_model(out / "lpv" / "bearing_direct.yaml"), published))

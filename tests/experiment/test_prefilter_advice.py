@@ -73,7 +73,7 @@ def test_an_experiment_says_so(recordings, harmonics, advised, tmp_path, capsys)
     path.write_text(text + FITS.format(harmonics), encoding="utf-8")
     assert call("import", path, "--engine", "serial") == 0
     said = printed_by(capsys, "fit", path, "--engine", "serial").err
-    result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "p5_n4000_prbs1.h5")
+    result = gbid.load(tmp_path / "results" / "own" / "fits" / "bearing" / "p5_n4000_prbs1.h5")
     suspects = [note for note in result.notes if note.startswith("suspect")]
     assert bool(re.search(r"left over in p_x: \d+ nm rms of order 13", said)) == advised
     assert ("harmonics auto: harmonics, 15; rms residual on test data" in said) != advised

@@ -5,8 +5,8 @@ import pytest
 from experiment_files import gbid, json_of, printed_by
 from scipy import signal
 
+from gbid import load
 from gbid.core.hdf5 import read_made_with
-from gbid.identify import load_fit
 
 STRUCTURE = """\
 from gbid import LinearStructure, Parameter
@@ -50,7 +50,7 @@ def write(folder, response="frf.csv", more="", yaml=YAML):
 
 
 def assert_true(path):
-    result = load_fit(path.parent / "results" / "fits" / "spring" / "responses.h5")
+    result = load(path.parent / "results" / "fits" / "spring" / "responses.h5")
     assert result.success
     for name, value in TRUTH.items():
         assert abs(result.parameters[name] - value) < 4 * result.std[name] < 0.05 * value
@@ -143,7 +143,7 @@ def write_loop(folder, seed=0):
 def test_a_magnetic_bearing_in_its_loop_gives_its_stiffness_and_gain(tmp_path, capsys):
     path = write_loop(tmp_path)
     assert gbid("run", path) == 0
-    result = load_fit(tmp_path / "results" / "fits" / "spring" / "responses.h5")
+    result = load(tmp_path / "results" / "fits" / "spring" / "responses.h5")
     assert result.trusted == "robust"
     for name, value in OF_BEARING.items():
         assert abs(result.parameters[name] - value) < 3 * result.std[name]

@@ -15,7 +15,8 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import STATIC
 from gbid.lpv import load_model
-from gbid.prefilter import PiezoCurve, PrefilterFile, StaticMap
+from gbid.prefilter import PiezoCurve, StaticMap
+from gbid.prefilter.filtering import PrefilterFile
 from gbid.recording import load_recording
 
 AUTO = """\

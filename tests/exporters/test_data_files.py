@@ -33,7 +33,7 @@ def test_parquet(tmp_path, capsys):
 
 def test_mdf(tmp_path):
     asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
-    path = gbid.save_data(RUN, tmp_path / "run.mf4")
+    path = gbid.export.save_data(RUN, tmp_path / "run.mf4")
     with asammdf.MDF(path) as file:
         channel = file.get("u_y")
         np.testing.assert_array_equal(channel.samples, RUN.signal("u")[:, 1])
@@ -45,7 +45,7 @@ def test_mdf(tmp_path):
 def test_several_recordings_are_groups_of_an_mdf_file(tmp_path):
     pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
     other = gbid.Recording({"u": RANDOM.standard_normal((50, 2))}, 1 / 1000, units={"u": "V"}, name="run 2")
-    path = gbid.save_data([RUN, other], tmp_path / "runs.mf4")
+    path = gbid.export.save_data([RUN, other], tmp_path / "runs.mf4")
     first = {"u": {"columns": ["run 1/u_x", "run 1/u_y"]}}
     np.testing.assert_array_equal(gbid.import_recording(path, {"signals": first}).signal("u"), RUN.signal("u"))
     second = {"u": {"columns": ["run 2/u_x", "run 2/u_y"], "stored_unit": "V"}}
@@ -53,9 +53,9 @@ def test_several_recordings_are_groups_of_an_mdf_file(tmp_path):
     np.testing.assert_array_equal(back.signal("u"), other.signal("u"))
     assert back.sample_time == pytest.approx(1e-3)
     with pytest.raises(UsageError, match="two recordings have the name 'run 1'"):
-        gbid.save_data([RUN, RUN], tmp_path / "twice.mf4")
+        gbid.export.save_data([RUN, RUN], tmp_path / "twice.mf4")
     with pytest.raises(UsageError, match=r"unknown ending '.parquet'; for this there is .mf4"):
-        gbid.save_data([RUN, other], tmp_path / "runs.parquet")
+        gbid.export.save_data([RUN, other], tmp_path / "runs.parquet")
 
 
 @pytest.mark.parametrize(("to", "ending"), [("parquet", ".parquet"), ("mdf", ".mf4"), ("universal", ".unv")])
@@ -78,7 +78,7 @@ def test_a_folder_of_recordings_becomes_a_file_for_each(tmp_path, capsys, to, en
 
 def test_universal(tmp_path, capsys):
     pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'gbid[uff]'")
-    sets = pyuff.UFF(str(gbid.save_data(RUN, tmp_path / "run.unv"))).read_sets()
+    sets = pyuff.UFF(str(gbid.export.save_data(RUN, tmp_path / "run.unv"))).read_sets()
     assert [(s["rsp_ent_name"], s["rsp_dir"], s["func_type"]) for s in sets] == [
         ("u_x", 1, 1), ("u_y", 2, 1), ("force", 0, 1)
     ]  # fmt: skip
@@ -90,7 +90,7 @@ def test_universal(tmp_path, capsys):
     response = RANDOM.standard_normal((4, 2, 1)) + 1j * RANDOM.standard_normal((4, 2, 1))
     response[2, 1, 0] = np.nan  # not measured
     data = gbid.FrequencyData(f, response, RANDOM.uniform(1, 2, (4, 2, 1)), inputs="force", outputs=["p_x", "p_y"])
-    read = gbid.FrequencyData.read(gbid.save_data(data, tmp_path / "frf.uff"))
+    read = gbid.FrequencyData.read(gbid.export.save_data(data, tmp_path / "frf.uff"))
     assert (read.input_names, read.output_names) == (("force",), ("p_x", "p_y"))
     np.testing.assert_allclose(read.response, data.response, rtol=1e-11)
     measured = np.isfinite(response)
@@ -108,7 +108,7 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
         (gbid.Recording({"displacement": [1.0, 2.0]}, 1.0), "at most 10 ASCII characters, not 'displacement'"),
     ):
         with pytest.raises(UsageError, match=words):
-            gbid.save_data(recording, tmp_path / "a.unv")
+            gbid.export.save_data(recording, tmp_path / "a.unv")
     with pytest.raises(UsageError, match=r"unknown ending '.xls'; for this there is .uff, .unv, .uf, .parquet, .mf4"):
-        gbid.save_data(RUN, tmp_path / "a.xls")
+        gbid.export.save_data(RUN, tmp_path / "a.xls")
     assert not list(tmp_path.iterdir())

@@ -260,7 +260,7 @@ def test_surfaces_of_another_machine_over_another_variable(folder, delay):
     u = np.repeat(np.random.default_rng(3).normal(size=60), 10)
     signals = np.column_stack([np.full(N, 7.0), u])
     simulated = of_model(path, signals, ("gap", "u"), ("y",), STEP)
-    at = model.at(7.0) if delay == "exact" else gbid.with_pade(model.at(7.0), 2)
+    at = model.at(7.0) if delay == "exact" else gbid.structure.with_pade(model.at(7.0), 2)
     assert worst(simulated, at.simulate(u[:, None], STEP)) < REACHED
 
 

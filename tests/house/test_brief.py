@@ -53,7 +53,7 @@ def lines_of(value):
 
 
 def test_table(folder):
-    table = gbid.load_table(folder / "table.h5")
+    table = gbid.load(folder / "table.h5")
     lines = lines_of(table)
     assert lines[0] == "FitTable: 3 fits, 2 converged"
     assert lines[1].split() == ["fit", "3", "spring"]
@@ -64,7 +64,7 @@ def test_table(folder):
 
 
 def test_fit(folder):
-    result = gbid.load_fit(folder / "fits" / "spring" / "run1.h5")
+    result = gbid.load(folder / "fits" / "spring" / "run1.h5")
     lines = lines_of(result)
     assert lines[0] == f"FitResult: {result.structure}, {result.status}"
     (frequency, _), *_ = result.model.modes()
@@ -103,12 +103,12 @@ def test_designs(machine):
     assert lines[0] == "GainResult: damping 0.3, optimal"
     assert lines[1].split() == ["gains", "kappa_x", "=", "0.5"]
     assert "peak_sensitivity" not in "\n".join(lines).partition("also: ")[0]
-    front = gbid.ParetoFront((2.0, 2.6), (gains, gains))
+    front = gbid.control.ParetoFront((2.0, 2.6), (gains, gains))
     assert [line.split()[1] for line in lines_of(front)[1:3]] == ["2", "2.6"]
 
 
 def test_validation():
-    scores = gbid.ValidationScores(
+    scores = gbid.validate.ValidationScores(
         ("run1", "run1"),
         ("run1", "run3"),
         np.full(2, 4.0),
@@ -171,7 +171,7 @@ except AttributeError as error:
 
 
 def test_notebooks_show_a_table(folder):
-    result = gbid.load_fit(folder / "fits" / "spring" / "run1.h5")
+    result = gbid.load(folder / "fits" / "spring" / "run1.h5")
     html = result._repr_html_()
     assert all(name in html for name in result._brief().rows if name != "parameters")
     assert ElementTree.fromstring(f"<div>{html}</div>").find(".//table") is not None

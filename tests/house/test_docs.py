@@ -209,7 +209,7 @@ def test_tree_of_fit_results_names_what_is_written(tmp_path: Path, capsys: pytes
         "lag", [gbid.Parameter("a", 1.0, 0.1, 10.0), gbid.Parameter("k", 0.1)], _lag, inputs="u", outputs="y"
     )
     y = 0.1 * random.standard_normal((200, 1)) + np.cumsum(u, axis=0) * 0.01
-    gbid.save_fit(gbid.fit(lag, gbid.Recording({"u": u, "y": y}, 0.1)), tmp_path / "fit.h5")
+    gbid.save(gbid.fit(lag, gbid.Recording({"u": u, "y": y}, 0.1)), tmp_path / "fit.h5")
     page = DOCS / "file-formats.md"
     exec(compile(cells(page)[-1], page.name, "exec"), {})
     printed = capsys.readouterr().out

@@ -11,7 +11,7 @@ import gbid
 from gbid.core.errors import UsageError
 from gbid.core.names import LONGEST, file_stem
 
-OF_A_PATH = [name for name in gbid.__all__ if name.startswith(("load_", "import_"))]
+OF_A_PATH = [name for name in gbid.__all__ if name.startswith(("load", "import_"))]
 
 
 def wrong_call(name, path):
@@ -45,7 +45,7 @@ def test_a_recording_is_saved_to_a_path_only():
     for path in (None, "a\0b.h5"):
         with pytest.raises(UsageError, match=r"path = .*; give a text or Path|cannot contain a NUL"):
             gbid.save_recording(recording, path)
-    assert {"load_recording", "import_recording", "load_fit", "load_model"} <= set(OF_A_PATH)
+    assert {"load", "load_recording", "import_recording", "load_model"} <= set(OF_A_PATH)
 
 
 def test_long_names_are_cut_and_stay_apart():

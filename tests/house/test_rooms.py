@@ -113,7 +113,7 @@ KINDS = {"LinearStructure", "NonlinearStructure", "ScheduledStructure", "ClosedL
 
 
 def test_only_the_room_of_structures_asks_for_their_kind():
-    """Elsewhere `gbid.structure.kind_of` answers; a new kind is one class there."""
+    """Elsewhere `gbid.structure.kinds.kind_of` answers; a new kind is one class there."""
     asking = [
         f"{name}:{call.lineno}"
         for name, tree in trees().items()

@@ -35,8 +35,8 @@ assert "loudness : float\\n    Words of the first note." in gbid.fit.__doc__
 recording = simulated(MODE, MODE_AT, levels(200), noise=0.3)
 result = gbid.fit(MODE, recording, loudness=2.5)
 assert "loudness 2.5" in result.notes
-gbid.save_fit(result, "fit.h5")
-assert gbid.load_fit("fit.h5").options.loudness == 2.5
+gbid.save(result, "fit.h5")
+assert gbid.load("fit.h5").options.loudness == 2.5
 try:
     gbid.fit(MODE, recording, loudness=-1)
 except UsageError as error:

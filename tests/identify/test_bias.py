@@ -203,8 +203,8 @@ def test_the_short_form_for_white_residuals_is_the_test():
 
 def test_the_shift_is_stored(tmp_path):
     result = gbid.fit(gbid.RotorBearing(), recording(POINTS[0], 0))
-    gbid.save_fit(result, tmp_path / "fit.h5")
+    gbid.save(result, tmp_path / "fit.h5")
     np.testing.assert_array_equal(gbid.load(tmp_path / "fit.h5").hold_shift, result.hold_shift)
     untrusted = result.changed(trusted="none", covariance=result.covariance_robust)
-    gbid.save_fit(untrusted, tmp_path / "none.h5")
+    gbid.save(untrusted, tmp_path / "none.h5")
     np.testing.assert_array_equal(gbid.load(tmp_path / "none.h5").covariance, result.covariance_robust)

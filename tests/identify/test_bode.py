@@ -5,9 +5,10 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, LATE, LATE_AT, MODE, MODE_AT, H, levels, simulated
 from scipy.signal import csd, welch
 
+from gbid import load, save
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import csv_text
-from gbid.identify import bode, fit, load_fit, measured_response, save_fit
+from gbid.identify import bode, fit, measured_response
 from gbid.identify.uncertainty.curves import response_slopes
 from gbid.recording import Recording
 from gbid.structure import evaluate
@@ -70,8 +71,8 @@ def test_a_plain_model_has_no_bands_and_a_stored_fit_keeps_them(late, tmp_path):
     assert not plain.has_band
     assert np.isnan(plain.magnitude_std).all()
     np.testing.assert_array_equal(plain.response, late.bode([1.0]).response)
-    save_fit(late, tmp_path / "late.h5")
-    np.testing.assert_array_equal(load_fit(tmp_path / "late.h5").bode().magnitude_std, late.bode().magnitude_std)
+    save(late, tmp_path / "late.h5")
+    np.testing.assert_array_equal(load(tmp_path / "late.h5").bode().magnitude_std, late.bode().magnitude_std)
 
 
 def test_the_table_has_a_row_for_each_pair_and_frequency(late):

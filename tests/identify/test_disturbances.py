@@ -134,8 +134,8 @@ def test_the_walking_model_keeps_delays():
 def test_results_come_back_from_their_file(tmp_path):
     result = fit(EVERY, innovations(EVERY, EVERY_AT, levels(900, 2, hold=3), noise=0.1), start=EVERY_AT,
                  trend={"y_2": "random walk"}, hum=(0.4, 1.3))  # fmt: skip
-    gbid.save_fit(result, tmp_path / "fit.h5")
-    again = gbid.load_fit(tmp_path / "fit.h5")
+    gbid.save(result, tmp_path / "fit.h5")
+    again = gbid.load(tmp_path / "fit.h5")
     assert again.options == result.options
     assert again.disturbances.trends == (Trend(0), Trend(0, random_walk=True))
     assert dict(again.parameters) == dict(result.parameters)

@@ -7,7 +7,8 @@ from shaken_rig import NO_RUNOUT, PUBLISHED, TRUE, shaken
 import gbid
 from gbid.core.errors import UsageError
 from gbid.rig import FilmStiffening, Machine, Prbs, Unbalance, record
-from gbid.structure import equations_of, evaluate, nonlinear_model
+from gbid.structure import evaluate, nonlinear_model
+from gbid.structure.kinds import equations_of
 
 FILM = FilmStiffening(0.9e-6)
 STRUCTURE = gbid.RotorBearing(film="stiffening", delay="exact", disturbance_gain="none")
@@ -90,7 +91,7 @@ def test_with_the_unbalance_in_the_fit_the_film_is_found_about_the_centre_while_
     machine = Machine.from_parameters(true, PUBLISHED.actuators, Unbalance(1.5e-6, 0.7), NO_RUNOUT, stiffening=FILM)
     made = record(machine, Prbs(0.6), conditions={"pressure_bar": 6.0, "speed_rpm": 6000.0}, seed=3, name="turning")
     structure = gbid.RotorBearing(film="stiffening", delay="exact", disturbance_gain="none", unbalance=True)
-    result = gbid.fit(structure, gbid.with_unbalance(made))
+    result = gbid.fit(structure, gbid.recording.with_unbalance(made))
     assert result.success
     for name, value in {**true, "stiffening": FILM.inverse_square_length}.items():
         if name in ("k_xx", "k_yy", "b_xx", "b_yy", "tau_x", "stiffening"):

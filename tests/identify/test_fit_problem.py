@@ -19,13 +19,13 @@ def mass():
 def test_functions_are_those_of_casadis_own_derivatives(mass, kind):
     """Cost, gaps and derivatives against a graph that is built from the one-step predictor alone."""
     structure, window = SAME[kind], 100
-    problem = gbid.fit_problem(structure, mass, window=window)
+    problem = gbid.identify.fit_problem(structure, mass, window=window)
     assert problem.names[:6] == ("k", "d", "b", "g1", "g2", f"mass 1[0].{'x' if kind == 'nonlinear' else 'x1'}")
     x = ca.MX.sym("x", len(problem.names))
     unscaled = x * ca.DM(problem.scale)
     p, starts = unscaled[:5], ca.reshape(unscaled[5:], 2, 3)
     u, y = mass.signal("u")[:, 0], mass.signal("y")[:, 0]
-    step = gbid.casadi_functions(structure, 0.02).predictor
+    step = gbid.structure.casadi_functions(structure, 0.02).predictor
     errors, gaps = [], []
     for k in range(3):
         rows = np.arange(k * window, (k + 1) * window)
@@ -56,7 +56,7 @@ def test_functions_are_those_of_casadis_own_derivatives(mass, kind):
 
 def test_nlpsol_solves_the_problem_as_the_fit_does():
     recording = duffing_recording(3, n=400)
-    problem = gbid.fit_problem(DUFFING, recording)
+    problem = gbid.identify.fit_problem(DUFFING, recording)
     options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9}}
     solver = ca.nlpsol("mine", "ipopt", problem.nlp, {**problem.functions.derivatives, **options})
     functions = problem.functions
@@ -156,7 +156,9 @@ def test_cost_and_derivatives_of_two_outputs_are_those_of_the_criterion(options)
     structure = LinearStructure(
         "gains", gains, lambda p: {**matrices, "D": [[p.a], [p.b]]}, inputs="u", outputs="y", intersample="zoh"
     )
-    problem = gbid.fit_problem(structure, gbid.Recording({"u": u, "y": y}, 0.1, name="two"), window=200, **options)
+    problem = gbid.identify.fit_problem(
+        structure, gbid.Recording({"u": u, "y": y}, 0.1, name="two"), window=200, **options
+    )
     free = [problem.names.index(name) for name in "ab"]
 
     def errors(x):

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simulated
 
+from gbid import load, save
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError
-from gbid.identify import fit, load_fit, save_fit
+from gbid.identify import fit
 from gbid.recording import save_recording
 from gbid.structure import LinearStructure, Parameter
 
@@ -44,9 +45,9 @@ def test_round_trip(result, tmp_path):
     assert np.isnan(result.std["w"])  # on its bound: the file must carry that
     assert result.notes
     path = tmp_path / "new" / "fit.h5"
-    save_fit(result, path)
-    assert_same(load_fit(path), result)
-    assert_same(load_fit(str(path)), result)
+    save(result, path)
+    assert_same(load(path), result)
+    assert_same(load(str(path)), result)
 
 
 def test_round_trip_with_a_disturbance_gain_and_no_notes(tmp_path):
@@ -54,8 +55,8 @@ def test_round_trip_with_a_disturbance_gain_and_no_notes(tmp_path):
     with_gain = fit(EVERY, rec, start=EVERY_AT, intersample=("zoh", "foh"))
     assert with_gain.model.K is not None
     assert with_gain.notes == ()
-    save_fit(with_gain, tmp_path / "a.h5")
-    assert_same(load_fit(tmp_path / "a.h5"), with_gain)
+    save(with_gain, tmp_path / "a.h5")
+    assert_same(load(tmp_path / "a.h5"), with_gain)
 
 
 def test_round_trip_with_exact_delays_local_parameters_and_offsets(tmp_path):
@@ -71,22 +72,22 @@ def test_round_trip_with_exact_delays_local_parameters_and_offsets(tmp_path):
     made = fit(delayed, recs, local={"b": "recording"}, trend="offset", start={"a": 1.5})
     assert made.model.delay is not None
     assert made.local_names["é 1"] == {"b": "b[é 1]", "offset_y": "offset_y[é 1]"}
-    save_fit(made, tmp_path / "late.h5")
-    loaded = load_fit(tmp_path / "late.h5")
+    save(made, tmp_path / "late.h5")
+    loaded = load(tmp_path / "late.h5")
     assert_same(loaded, made)
     assert loaded.parameters_of("é 1") == made.parameters_of("é 1")
 
 
 def test_a_fit_that_did_not_converge_is_kept_as_such(data, tmp_path):
     bad = fit(MODE, data, max_iterations=1, start={"w": 8.0})
-    save_fit(bad, tmp_path / "bad.h5")
-    loaded = load_fit(tmp_path / "bad.h5")
+    save(bad, tmp_path / "bad.h5")
+    loaded = load(tmp_path / "bad.h5")
     assert loaded.success is False
     assert_same(loaded, bad)
 
 
 def test_every_dataset_has_unit_and_name_and_the_key_is_kept(result, tmp_path):
-    save_fit(result, tmp_path / "fit.h5", key="abc")
+    save(result, tmp_path / "fit.h5", key="abc")
     with h5py.File(tmp_path / "fit.h5") as file:
         assert file.attrs["key"] == "abc"
         names = []
@@ -107,10 +108,10 @@ def test_nothing_is_overwritten_unless_asked(result, tmp_path):
     path = tmp_path / "fit.h5"
     path.write_text("mine")
     with pytest.raises(UsageError, match=r"fit\.h5 exists already"):
-        save_fit(result, path)
+        save(result, path)
     assert path.read_text() == "mine"
-    save_fit(result, path, overwrite=True)
-    assert_same(load_fit(path), result)
+    save(result, path, overwrite=True)
+    assert_same(load(path), result)
     assert [p.name for p in tmp_path.iterdir()] == ["fit.h5"]
 
 
@@ -146,26 +147,26 @@ DAMAGE = {
 @pytest.mark.parametrize(("damage", "text"), DAMAGE.values(), ids=DAMAGE)
 def test_damaged_files_are_refused_in_one_line(result, tmp_path, damage, text):
     path = tmp_path / "fit.h5"
-    save_fit(result, path)
+    save(result, path)
     with hdf5.changing(path) as file:
         damage(file)
     with pytest.raises(DataError, match=text) as caught:
-        load_fit(path)
+        load(path)
     assert "fit.h5" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_other_files_are_refused(result, data, tmp_path):
     with pytest.raises(DataError, match="no such file"):
-        load_fit(tmp_path / "none.h5")
+        load(tmp_path / "none.h5")
     save_recording(data[0], tmp_path / "rec.h5")
     with pytest.raises(DataError, match="expected a gbid fit file, found recording"):
-        load_fit(tmp_path / "rec.h5")
+        load(tmp_path / "rec.h5")
     (tmp_path / "text.h5").write_text("no HDF5")
     with pytest.raises(DataError, match="not a readable HDF5 file"):
-        load_fit(tmp_path / "text.h5")
-    save_fit(result, tmp_path / "fit.h5")
+        load(tmp_path / "text.h5")
+    save(result, tmp_path / "fit.h5")
     complete = (tmp_path / "fit.h5").read_bytes()
     (tmp_path / "cut.h5").write_bytes(complete[: len(complete) // 2])
     with pytest.raises(DataError, match=r"cut\.h5"):
-        load_fit(tmp_path / "cut.h5")
+        load(tmp_path / "cut.h5")

@@ -8,8 +8,7 @@ import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import write_csv
-from gbid.identify import TableEntry, save_table, tabulate
-from gbid.identify.table import csv_table
+from gbid.identify.table import TableEntry, csv_table, tabulate
 from gbid.rig import Machine, Prbs, record
 
 POINT = {"pressure_bar": 6.0, "speed_rpm": 0.0}
@@ -103,8 +102,8 @@ def test_select_keeps_rows_and_their_columns(table, fits):
 
 
 def test_round_trip(table, tmp_path):
-    save_table(table, tmp_path / "table.h5")
-    again = gbid.load_table(tmp_path / "table.h5")
+    gbid.save(table, tmp_path / "table.h5")
+    again = gbid.load(tmp_path / "table.h5")
     for field in fields(table):
         first, second = getattr(table, field.name), getattr(again, field.name)
         if isinstance(first, np.ndarray):
@@ -113,10 +112,10 @@ def test_round_trip(table, tmp_path):
         else:
             assert second == first
     with pytest.raises(UsageError, match="exists already"):
-        save_table(table, tmp_path / "table.h5")
+        gbid.save(table, tmp_path / "table.h5")
     empty = tabulate([])
-    save_table(empty, tmp_path / "empty.h5")
-    assert len(gbid.load_table(tmp_path / "empty.h5")) == 0
+    gbid.save(empty, tmp_path / "empty.h5")
+    assert len(gbid.load(tmp_path / "empty.h5")) == 0
 
 
 def test_csv_holds_the_columns_bit_for_bit(table, tmp_path):
@@ -145,17 +144,17 @@ def test_a_fit_to_several_recordings_shows_its_worst(fits):
 
 def test_damaged_tables_are_refused(table, tmp_path):
     path = tmp_path / "table.h5"
-    save_table(table, path)
+    gbid.save(table, path)
     with hdf5.changing(path) as file:
         del file["std"]
         file["std"] = np.zeros((4, 2))
     with pytest.raises(DataError, match=r"/std has shape \(4, 2\), expected \(4, 20\)"):
-        gbid.load_table(path)
-    save_table(table, path, overwrite=True)
+        gbid.load(path)
+    gbid.save(table, path, overwrite=True)
     with hdf5.changing(path) as file:
         del file["status"]
     with pytest.raises(DataError, match="/status is missing"):
-        gbid.load_table(path)
+        gbid.load(path)
     (tmp_path / "table.csv").write_text("fit,model\n")
     with pytest.raises(DataError, match="HDF5"):
-        gbid.load_table(tmp_path / "table.csv")
+        gbid.load(tmp_path / "table.csv")

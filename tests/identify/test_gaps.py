@@ -96,7 +96,7 @@ def test_the_likelihood_is_that_of_a_kalman_filter(focus, n_y, every):
 
 
 def test_derivatives_are_those_of_the_cost():
-    problem = gbid.fit_problem(structure(2), made(2, 300, n_y=2, every=3))
+    problem = gbid.identify.fit_problem(structure(2), made(2, 300, n_y=2, every=3))
     assert_derivatives(problem, 7)
 
 

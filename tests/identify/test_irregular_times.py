@@ -86,7 +86,7 @@ def test_even_times_give_the_fit_at_even_times(focus):
 def test_derivatives_are_those_of_the_cost():
     rec = made("jitter", 2, "foh", 300, errors="fed back")
     lost = np.where(np.arange(300) % 7 == 3, np.nan, rec.signals["y"][:, 0])
-    problem = gbid.fit_problem(structure(), rec.with_signals(y=lost), intersample="foh", trend="linear")
+    problem = gbid.identify.fit_problem(structure(), rec.with_signals(y=lost), intersample="foh", trend="linear")
     assert_derivatives(problem, 9)
 
 

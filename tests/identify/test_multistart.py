@@ -9,8 +9,9 @@ import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
 from scipy.integrate import solve_ivp
 
+from gbid import load, save
 from gbid.core.errors import DataError, UsageError
-from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitStatus, fit, fit_multistart
 from gbid.identify.fitting import fitted
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, NonlinearStructure, Parameter, evaluate
@@ -126,8 +127,8 @@ def test_the_best_is_the_smallest_loss_whatever_its_status(rec, monkeypatch, tmp
     assert "but did not converge" in multistart.best.notes[-1]
     assert f"{multistart.losses[0]:.6g}" in multistart.best.notes[-1]
     assert [m.status.success for m in multistart.minima] == [False, True]
-    save_fit(multistart.best, tmp_path / "best.h5")
-    assert load_fit(tmp_path / "best.h5").multi_start == multistart.best.multi_start
+    save(multistart.best, tmp_path / "best.h5")
+    assert load(tmp_path / "best.h5").multi_start == multistart.best.multi_start
 
 
 class Fixed:

@@ -35,8 +35,8 @@ def test_any_name_comes_through(source, target, plain, reference, tmp_path):
     assert computed.units[f"offset_{target}[{data[0].name}]"] == ""
     assert computed.start_origin[f"offset_{target}[{data[0].name}]"] == reference.start_origin["offset_y[0]"]
     assert list(computed.parameters_of(data[1].name).values()) == list(reference.parameters_of("1").values())
-    gbid.save_fit(computed, tmp_path / "fit.h5")
-    again = gbid.load_fit(tmp_path / "fit.h5")
+    gbid.save(computed, tmp_path / "fit.h5")
+    again = gbid.load(tmp_path / "fit.h5")
     assert again.options == computed.options
     assert (again.options.inputs, again.options.outputs) == ((source,), (target,))
     assert again.model.input_names == (source,)

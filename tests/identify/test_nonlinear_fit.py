@@ -141,10 +141,10 @@ def test_stored_fits_simulate_and_validate_without_their_structure(tmp_path):
     recording, other = duffing_recording(5), duffing_recording(6)
     result = gbid.fit(DUFFING, recording)
     large = result.changed(model=replace(result.model, equations=result.model.equations + " " * 70_000))
-    gbid.save_fit(large, tmp_path / "large.h5")  # an attribute of HDF5 holds 64 kB, if the text is inside of it
-    assert gbid.load_fit(tmp_path / "large.h5").model.equations == large.model.equations
-    gbid.save_fit(result, tmp_path / "fit.h5")
-    stored = gbid.load_fit(tmp_path / "fit.h5")
+    gbid.save(large, tmp_path / "large.h5")  # an attribute of HDF5 holds 64 kB, if the text is inside of it
+    assert gbid.load(tmp_path / "large.h5").model.equations == large.model.equations
+    gbid.save(result, tmp_path / "fit.h5")
+    stored = gbid.load(tmp_path / "fit.h5")
     u = other.signal("u")
     np.testing.assert_array_equal(stored.model.simulate(u, 0.1), result.model.simulate(u, 0.1))
     np.testing.assert_array_equal(stored.integration_shift, result.integration_shift)

@@ -136,8 +136,8 @@ def test_an_outlier_of_one_output_does_not_spoil_the_other(tmp_path):
         assert abs(result.parameters[name] - EVERY_AT[name]) < 4 * result.std[name] < 7 * clean.std[name]
     assert any("robust loss" in note for note in result.notes)
     np.testing.assert_allclose(result.error_covariance[0, 0], plain.error_covariance[0, 0], rtol=0.1)
-    gbid.save_fit(result, tmp_path / "fit.h5")
-    assert gbid.load_fit(tmp_path / "fit.h5").options == result.options
+    gbid.save(result, tmp_path / "fit.h5")
+    assert gbid.load(tmp_path / "fit.h5").options == result.options
 
 
 def test_unknown_losses_are_refused():

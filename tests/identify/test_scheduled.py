@@ -164,4 +164,4 @@ def test_result_of_a_schedule_is_no_model_of_a_recording():
     with pytest.raises(UsageError, match="middle of their range"):
         gbid.cross_validate(result, ramp())
     with pytest.raises(UsageError, match="fourteen key parameters"):
-        gbid.lpv_of(result)
+        gbid.lpv.lpv_of(result)

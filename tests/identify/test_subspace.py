@@ -93,7 +93,7 @@ def test_models_of_other_signals_are_refused():
 
 
 def test_what_chooses_the_order_is_shown():
-    orders = gbid.subspace_orders(recording(2, 0))
+    orders = gbid.identify.subspace_orders(recording(2, 0))
     assert orders.order == gbid.subspace(recording(2, 0)).n_states == 4
     assert orders.singular_values[3] > 10 * orders.singular_values[4]  # two modes
     assert orders.errors[2] > 50 * orders.errors[3]
@@ -108,7 +108,7 @@ def test_models_are_compared_from_the_command_line(tmp_path, capsys):
     for seed, path in enumerate(paths):
         gbid.save_recording(recording(2, seed), path)
     fit = tmp_path / "grey.h5"
-    gbid.save_fit(gbid.fit(SPRING, gbid.load_recording(paths[0]), focus="simulation"), fit)
+    gbid.save(gbid.fit(SPRING, gbid.load_recording(paths[0]), focus="simulation"), fit)
     page = tmp_path / "models.html"
     made = json_of(capsys, "compare", fit, "--plain", paths[0], "--on", paths[1], "--output", page)
     assert made["order"] == 4

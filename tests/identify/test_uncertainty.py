@@ -11,7 +11,8 @@ from scipy.linalg import matmul_toeplitz
 from scipy.signal import lfilter
 from scipy.stats import kstest
 
-from gbid.identify import correlation, fit, whiteness_test
+from gbid.identify import fit
+from gbid.identify.uncertainty.residual_tests import correlation, whiteness_test
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 

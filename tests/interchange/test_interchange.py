@@ -111,7 +111,7 @@ def test_what_other_libraries_cannot_take_is_said(monkeypatch):
     for convert in ("to_scipy", "to_control"):
         with pytest.raises(UsageError, match=r"exact delays.*with_pade\(model, order\)"):
             getattr(only_late(), convert)()
-        getattr(gbid.with_pade(only_late(), 2), convert)()
+        getattr(gbid.structure.with_pade(only_late(), 2), convert)()
     unclear = published().to_control()
     unclear.dt = None
     with pytest.raises(UsageError, match=r"dt = None.*set system.dt to 0"):

@@ -97,7 +97,7 @@ def natural(structure):
 def test_natural_frequencies_of_a_published_rotor(speed_rpm, published):
     # published: as ROSS compares itself with the book, rad/s, to 0.1 %
     machine = rotor()
-    structure = gbid.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=speed_rpm)
+    structure = gbid.export.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=speed_rpm)
     frequencies = natural(structure)
     np.testing.assert_allclose(frequencies, published, rtol=1e-3)
     complete, _, _ = lateral(machine, speed_rpm * np.pi / 30)
@@ -109,7 +109,7 @@ def test_more_modes_come_closer_and_all_of_them_are_exact():
     complete = np.sort(np.abs(np.linalg.eigvals(lateral(machine, 300.0)[0])))[::2][:6]
     off = []
     for modes in (3, 6, 12, 28):
-        structure = gbid.from_ross(
+        structure = gbid.export.from_ross(
             machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=300.0 * 30 / np.pi, modes=modes
         )
         off.append(np.abs(natural(structure) / complete - 1).max())
@@ -122,7 +122,7 @@ def test_the_response_is_that_of_the_whole_model():
     machine, off = rotor(**TRUE), []
     expected = whole_model(machine, 3000, force, 1e-3)
     for modes in (8, 16):
-        structure = gbid.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=3000, modes=modes)
+        structure = gbid.export.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=3000, modes=modes)
         model = evaluate(structure, {parameter.name: parameter.start for parameter in structure.parameters})
         off.append(np.abs(model.simulate(force, 1e-3) - expected).max() / np.abs(expected).max())
     assert off[0] < 1e-3
@@ -133,7 +133,7 @@ def test_coefficients_of_two_bearings_are_found_from_four_sensors():
     step, rng = 1e-3, np.random.default_rng(0)
     force = 20.0 * np.repeat(rng.choice([-1.0, 1.0], (500, 2)), 4, axis=0)
     measured = whole_model(rotor(**TRUE), 3000, force, step) + 1e-7 * rng.standard_normal((2000, 4))
-    structure = gbid.from_ross(rotor(**START), sensors=SENSORS, actuators=ACTUATORS, speed_rpm=3000, modes=6)
+    structure = gbid.export.from_ross(rotor(**START), sensors=SENSORS, actuators=ACTUATORS, speed_rpm=3000, modes=6)
     result = gbid.fit(structure, gbid.Recording({"f": force, "p": measured}, step, name="run"), focus="simulation")
     assert result.success
     assert result.engine == "numpy"
@@ -153,14 +153,14 @@ def test_coefficients_of_two_bearings_are_found_from_four_sensors():
 
 def test_bearings_that_are_not_named_keep_their_coefficients():
     machine = rotor(**TRUE)
-    structure = gbid.from_ross(machine, bearings={"one": 6}, sensors=[(0, np.pi / 4)], actuators=[(2, "x")])
+    structure = gbid.export.from_ross(machine, bearings={"one": 6}, sensors=[(0, np.pi / 4)], actuators=[(2, "x")])
     assert [parameter.name for parameter in structure.parameters][:2] == ["k_xx_one", "k_xy_one"]
     assert len(structure.parameters) == 8
     assert structure.parameters[0].start == 1.3e6
-    all_known = natural(gbid.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS))
+    all_known = natural(gbid.export.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS))
     np.testing.assert_allclose(natural(structure), all_known, rtol=1e-4)
     ross = ross_package("these tests")
-    probe = gbid.from_ross(machine, sensors=[ross.Probe(0, np.pi / 4, tag="p")], actuators=[(2, "x")])
+    probe = gbid.export.from_ross(machine, sensors=[ross.Probe(0, np.pi / 4, tag="p")], actuators=[(2, "x")])
     values = [evaluate(s, {p.name: p.start for p in s.parameters}).static_gain() for s in (structure, probe)]
     np.testing.assert_allclose(*values, rtol=1e-6)
 
@@ -188,7 +188,7 @@ def test_wrong_arguments_are_one_line(change, words):
     options = {"sensors": SENSORS, "actuators": ACTUATORS, **change}
     machine = options.pop("rotor", None) or rotor()
     with pytest.raises(UsageError) as caught:
-        gbid.from_ross(machine, **options)
+        gbid.export.from_ross(machine, **options)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -250,7 +250,7 @@ def test_the_structure_says_how_good_its_reduction_is():
     complete = complete[complete.imag > 0]
     complete = complete[np.argsort(np.abs(complete))]
     options = {"sensors": SENSORS, "actuators": ACTUATORS, "speed_rpm": 300.0 * 30 / np.pi}
-    few, many = (gbid.from_ross(machine, modes=modes, **options) for modes in (6, 28))
+    few, many = (gbid.export.from_ross(machine, modes=modes, **options) for modes in (6, 28))
     model = evaluate(few, {parameter.name: parameter.start for parameter in few.parameters})
     for mode, expected in zip(few.reduction, complete, strict=False):
         assert mode.whole_frequency_hz == pytest.approx(abs(expected) / (2 * np.pi), rel=1e-9)
@@ -260,7 +260,7 @@ def test_the_structure_says_how_good_its_reduction_is():
     assert max(abs(mode.error) for mode in many.reduction) < 1e-7
     assert many.notes == ()
     # shapes at rest are no basis for gyroscopic moments ten times as large: 2.8 % of the lowest frequency
-    fast = gbid.from_ross(machine, bearings={"one": 6}, sensors=SENSORS, actuators=[], speed_rpm=30000, modes=3)
+    fast = gbid.export.from_ross(machine, bearings={"one": 6}, sensors=SENSORS, actuators=[], speed_rpm=30000, modes=3)
     worst = max(fast.reduction, key=lambda mode: abs(mode.error))
     assert abs(worst.error) > 0.02
     assert len(fast.notes) == 1
@@ -287,7 +287,7 @@ def test_rotors_that_ross_ships_have_the_poles_of_ross(name, speed_rpm):
         expected = ross.Rotor(machine.shaft_elements, machine.disk_elements, [plain, machine.bearing_elements[1]])
     else:
         expected = machine
-    structure = gbid.from_ross(
+    structure = gbid.export.from_ross(
         machine, bearings=bearings, sensors=[(0, "x")], actuators=[(1, "y")], speed_rpm=speed_rpm, modes=12
     )
     of_ross = np.linalg.eigvals(expected.A(omega))
@@ -314,17 +314,17 @@ def test_a_rotor_with_gears_and_a_random_one_are_refused():
     ross = ross_package("these tests")
     geared = __import__("ross.multi_rotor").multi_rotor.two_shaft_rotor_example()
     with pytest.raises(UsageError, match=r"give each shaft as a ross\.Rotor of its own"):
-        gbid.from_ross(geared, sensors=[(0, "x")], actuators=[(1, "y")])
+        gbid.export.from_ross(geared, sensors=[(0, "x")], actuators=[(1, "y")])
     random = __import__("ross.stochastic.st_rotor_assembly").stochastic.st_rotor_assembly.st_rotor_example()
     with pytest.raises(UsageError, match="a ST_Rotor is no rotor of ROSS"):
-        gbid.from_ross(random, sensors=[(0, "x")], actuators=[(1, "y")])
+        gbid.export.from_ross(random, sensors=[(0, "x")], actuators=[(1, "y")])
     thrust = ross.BearingElement(n=3, kxx=1e6, cxx=0.0, kzz=1e7, czz=1e3, tag="thrust")
     machine = rotor(**TRUE)
     machine = ross.Rotor(machine.shaft_elements, machine.disk_elements, [*machine.bearing_elements, thrust])
     poles = [
         evaluate(s, {q.name: q.start for q in s.parameters}).poles()
         for s in (
-            gbid.from_ross(machine, bearings=tags, sensors=SENSORS, actuators=ACTUATORS, modes=28)
+            gbid.export.from_ross(machine, bearings=tags, sensors=SENSORS, actuators=ACTUATORS, modes=28)
             for tags in (["left"], ["left", "right", "thrust"])
         )
     ]
@@ -347,7 +347,7 @@ def test_a_rotor_with_magnetic_bearings_is_the_plant_of_its_controller():
     machine = magnetic_rotor()
     element = machine.bearing_elements[0]
     name, currents = element.tag, [(element.tag, "x"), (element.tag, np.pi / 2), (6, "y")]
-    structure = gbid.from_ross(machine, sensors=SENSORS, actuators=currents, speed_rpm=3000, modes=28)
+    structure = gbid.export.from_ross(machine, sensors=SENSORS, actuators=currents, speed_rpm=3000, modes=28)
     starts = {parameter.name: parameter.start for parameter in structure.parameters}
     end = name.replace(" ", "_")
     assert set(starts) == {f"{k}_{e.tag.replace(' ', '_')}" for k in ("k_s", "k_i") for e in machine.bearing_elements}
@@ -375,4 +375,4 @@ def test_a_rotor_with_magnetic_bearings_is_the_plant_of_its_controller():
         )
     assert (model.poles().real > 1).sum() == 4  # unstable without the controller
     with pytest.raises(UsageError, match="'left' is no magnetic bearing among the unknown ones; there is"):
-        gbid.from_ross(machine, sensors=SENSORS, actuators=[("left", "x")])
+        gbid.export.from_ross(machine, sensors=SENSORS, actuators=[("left", "x")])

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from gbid.core.errors import ExtrapolationWarning, UsageError
 from gbid.core.files import share_folder
-from gbid.lpv import TERMS, Domain, LPVModel, basis, load_machine, load_model, polynomial, save_model
+from gbid.lpv import Domain, LPVModel, load_machine, load_model, save_model
+from gbid.lpv.model import TERMS, basis, polynomial
 from gbid.structure import KEY_PARAMETERS
 
 POINTS = st.tuples(st.floats(3, 7), st.floats(0, 6000))

@@ -137,7 +137,7 @@ def test_one_shot_of_the_papers_campaign_on_recordings_held_out(tmp_path):
     assert len(names) == 86
     last = {name.rpartition("_")[0]: name for name in names}.values()
     recordings = {name: gbid.load_recording(folder / "prefiltered" / f"{name}.h5") for name in names}
-    fits = {name: gbid.load_fit(folder / "fits" / "bearing" / f"{name}.h5") for name in names}
+    fits = {name: gbid.load(folder / "fits" / "bearing" / f"{name}.h5") for name in names}
     seen = [name for name in names if name not in last]
     points = [tuple(recordings[name].conditions[key] for key in ("pressure_bar", "speed_rpm")) for name in seen]
     two = gbid.fit_lpv([fits[name] for name in seen], points)

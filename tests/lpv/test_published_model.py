@@ -11,7 +11,9 @@ import pytest
 from gbid.control import close_loop, p_controller
 from gbid.core.files import share_folder
 from gbid.core.units import conversion_factor
-from gbid.lpv import TERMS, LPVModel, ProportionalDesign, load_machine, load_model
+from gbid.lpv import LPVModel, load_machine, load_model
+from gbid.lpv.model import TERMS
+from gbid.lpv.model_file import ProportionalDesign
 
 # Table B.6, taken from the paper's text by a program, not from the model file.
 TABLE_B6 = """

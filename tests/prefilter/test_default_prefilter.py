@@ -10,8 +10,8 @@ import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
-from gbid.prefilter import PrefilterFile, PrefilterReport, identify_runout, prefilter
-from gbid.prefilter.filtering import correction_rows
+from gbid.prefilter import identify_runout, prefilter
+from gbid.prefilter.filtering import PrefilterFile, PrefilterReport, correction_rows
 from gbid.prefilter.runout import shaft_motion
 from gbid.rig import Faults, Prbs, Stationary, record
 

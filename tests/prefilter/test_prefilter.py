@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from rig_point import actuator, rotor_bearing
 
 from gbid.core.errors import DataError, UsageError
-from gbid.prefilter import identify_runout, prefilter, running_median
+from gbid.prefilter import identify_runout, prefilter
+from gbid.prefilter.runout import running_median
 from gbid.recording import Recording
 from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record
 

@@ -88,7 +88,7 @@ def test_results_as_frames(rec, result):
     bode = result.bode([0.5, 1.0]).to_frame()
     assert bode["frequency_hz"].tolist() == [0.5, 1.0]
     assert gbid.measured_response(rec, "u", "y").to_frame()["coherence"].between(0, 1).all()
-    scores = gbid.cross_validate_many([result], [rec.slice(0, 500, "other")]).to_frame()
+    scores = gbid.validate.cross_validate_many([result], [rec.slice(0, 500, "other")]).to_frame()
     assert scores.loc[0, "fit_percent_y"] == pytest.approx(validation.fit_percent[0], abs=1.0)
     assert scores.loc[0, "recording"] == "other"
 

@@ -157,7 +157,7 @@ def merged(**more):
 @VERSIONS
 def test_iddata_of_several_experiments_needs_no_mapping(tmp_path, version):
     path = file(tmp_path, version, z=merged(), other=Y)
-    quiet, loud = gbid.load_iddata(path)
+    quiet, loud = gbid.recording.load_iddata(path)
     assert (quiet.name, loud.name) == ("quiet", "loud")
     assert (quiet.sample_time, loud.sample_time) == (0.01, 0.02)
     assert dict(loud.units) == {"force": "N", "u2": "V", "gap": "um"}
@@ -174,11 +174,11 @@ def test_sample_times_in_a_vector_and_no_names(tmp_path):
         "InputUnit_": cell(),
     }
     bare |= {"ExperimentName_": cell(), "OutputName_": np.zeros((0, 0)), "TimeUnit_": np.zeros((0, 0))}
-    first, second = gbid.load_iddata(file(tmp_path, "v7", z=merged(**bare)))
+    first, second = gbid.recording.load_iddata(file(tmp_path, "v7", z=merged(**bare)))
     assert (first.name, second.name, second.sample_time) == ("Exp1", "Exp2", 20.0)
     assert list(second.signals) == ["u1", "u2", "y1"]
     one = opaque("iddata", InputData=U, OutputData=Y, Ts=np.array([[H]]))
-    (alone,) = gbid.load_iddata(file(tmp_path, "v7", a=one, z=merged()), "a")
+    (alone,) = gbid.recording.load_iddata(file(tmp_path, "v7", a=one, z=merged()), "a")
     assert (alone.sample_time, alone.units["y1"]) == (H, "")
 
 
@@ -199,7 +199,7 @@ def test_an_experiment_names_its_channels_in_the_yaml(tmp_path, capsys):
 def test_sampling_instants_are_kept(tmp_path):
     instants = T + 1e-3 * np.sin(np.arange(len(T)))[:, None]
     variables = {"z": merged(Ts_=cell(T[:0], T[:0]), SamplingInstants_=cell(instants, T[:120]))}
-    irregular, even = gbid.load_iddata(file(tmp_path, "v7", **variables))
+    irregular, even = gbid.recording.load_iddata(file(tmp_path, "v7", **variables))
     np.testing.assert_allclose(irregular.time, 1e-3 * (instants - instants[0])[:, 0], atol=1e-12)
     assert irregular.stamps is not None
     assert even.stamps is None
@@ -220,4 +220,4 @@ def test_sampling_instants_are_kept(tmp_path):
 )
 def test_what_iddata_cannot_be_read_is_named(tmp_path, variables, words):
     with pytest.raises(GbidError, match=words):
-        gbid.load_iddata(file(tmp_path, "v7", **variables))
+        gbid.recording.load_iddata(file(tmp_path, "v7", **variables))

@@ -7,8 +7,8 @@ import pytest
 from places import MEASURED as DATA
 from rig_point import machine
 
-from gbid.recording import Recording, find_group_problems, find_problems, import_recording, quality
-from gbid.recording.quality import find_rub
+from gbid.recording import Recording, find_problems, import_recording, quality
+from gbid.recording.quality import find_group_problems, find_rub
 from gbid.rig import (
     Faults,
     FilmPoint,

@@ -11,8 +11,8 @@ import gbid
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.units import SIGNALS
-from gbid.prefilter import PrefilterFile, prefilter
-from gbid.prefilter.filtering import correction_rows, correction_table
+from gbid.prefilter import prefilter
+from gbid.prefilter.filtering import PrefilterFile, correction_rows, correction_table
 from gbid.recording import Recording, import_recording, load_recording, save_recording
 from gbid.report.measured_pictures import plot_response
 from gbid.rig import Hammer, Machine, Prbs, record

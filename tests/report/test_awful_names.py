@@ -25,8 +25,7 @@ from gbid.experiment.run import Outcome
 from gbid.export.chain import c_comment
 from gbid.export.matlab import save_mat
 from gbid.export.tables import save_csv, save_yaml
-from gbid.identify import TableEntry, tabulate
-from gbid.identify.table import csv_table
+from gbid.identify.table import TableEntry, csv_table, tabulate
 from gbid.report.canvas import plain_label, save_figure, symbol
 from gbid.report.measured_pictures import plot_residuals, plot_response
 

@@ -11,13 +11,15 @@ from figure_cases import BlankPictures
 from fit_cases import MODE, MODE_AT, levels, simulated
 from matplotlib.figure import Figure
 
-from gbid import report
-from gbid.control import iso_zone, p_controller, sensitivities, sensitivity_zones
+from gbid import load, report
+from gbid.control import p_controller, sensitivities, sensitivity_zones
+from gbid.control.loop.sensitivity import iso_zone
 from gbid.core.errors import UsageError
-from gbid.identify import bode, fit, load_fit, measured_response
+from gbid.identify import bode, fit, measured_response
 from gbid.lpv import load_model
 from gbid.lpv.model import Domain
 from gbid.recording import Recording, load_recording
+from gbid.report.model_pictures import bode_data, campbell_data, orbit_data, pole_data, response_data
 from gbid.structure import LinearModel, PiezoPair, evaluate
 from gbid.validate import cross_validate
 
@@ -41,7 +43,7 @@ def test_bode_diagram_of_a_fit_a_model_and_a_measurement(rec, result):
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["fit", "95 %", "truth", "measured"]
     assert len(axes[0, 0].collections) == 1  # a band for the fit, none for the plain model
     line = axes[0, 0].lines[0]
-    data = report.bode_data(result, line.get_xdata())["mode"]
+    data = bode_data(result, line.get_xdata())["mode"]
     np.testing.assert_array_equal(line.get_ydata(), data.magnitude[:, 0, 0])
     low, high = data.magnitude_band()
     vertices = axes[0, 0].collections[0].get_paths()[0].vertices[:, 1]
@@ -118,7 +120,7 @@ def test_models_of_a_figure_need_the_same_channels(rec, result):
         report.plot_bode([])
     with pytest.raises(UsageError, match=r"sources.*'model'.*; give LinearModel"):
         report.plot_bode({"a": "model"})
-    assert set(report.bode_data([result, result.model])) == {"mode (1)", "mode (2)"}
+    assert set(bode_data([result, result.model])) == {"mode (1)", "mode (2)"}
 
 
 def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path, monkeypatch):
@@ -158,7 +160,7 @@ def test_a_bode_diagram_over_a_recording_with_a_gap(tmp_path, monkeypatch):
     )
     assert gbid("run", path) == 0
     recording = load_recording(tmp_path / "results" / "spring" / "recordings" / "run2.h5")
-    validation = cross_validate(load_fit(tmp_path / "results" / "spring" / "fits" / "spring" / "run1.h5"), recording)
+    validation = cross_validate(load(tmp_path / "results" / "spring" / "fits" / "spring" / "run1.h5"), recording)
     assert np.isnan(validation.measured[100:160, 0]).all()  # not the straight line that the simulation starts from
     assert np.isfinite(validation.fit_percent).all()
     position = recording.plot()[1].lines[0].get_ydata()
@@ -175,7 +177,7 @@ def test_a_bode_diagram_over_a_recording_with_a_gap(tmp_path, monkeypatch):
 
 def test_poles_with_ellipses_and_several_models(result):
     axes = report.plot_poles({"fit": result, "truth": evaluate(MODE, MODE_AT)})
-    computed = report.pole_data(result)["mode"]
+    computed = pole_data(result)["mode"]
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
     np.testing.assert_array_equal(crosses[0].get_xdata(), computed.poles.real)
     rings = [line for line in axes.lines if len(line.get_xdata()) == 60]
@@ -201,7 +203,7 @@ def test_pictures_beside_each_other_have_a_legend_each(result):
 @pytest.mark.parametrize(("plot", "kind"), [(report.plot_step, "step"), (report.plot_impulse, "impulse")])
 def test_responses_with_bands(result, plot, kind):
     axes = plot({"fit": result, "truth": evaluate(MODE, MODE_AT)}, duration_s=3.0)
-    data = report.response_data({"fit": result}, kind, 3.0)["fit"]
+    data = response_data({"fit": result}, kind, 3.0)["fit"]
     assert axes.shape == (1, 1)
     np.testing.assert_array_equal(axes[0, 0].lines[1].get_ydata(), data.value[:, 0, 0])
     assert len(axes[0, 0].collections) == 1
@@ -210,7 +212,7 @@ def test_responses_with_bands(result, plot, kind):
 
 def test_responses_of_several_models_share_their_time(result):
     slow = evaluate(MODE, {**MODE_AT, "w": 0.5})
-    data = report.response_data([result, slow])
+    data = response_data([result, slow])
     assert len({curve.time_s[-1] for curve in data.values()}) == 1
 
 
@@ -238,7 +240,7 @@ def test_limits_of_the_zones(peak, zone):
 
 def test_campbell_diagram(rec, result):
     faster = fit(MODE, simulated(MODE, {**MODE_AT, "w": 7.0}, levels(600, hold=2), noise=0.3), focus="simulation")
-    data = report.campbell_data({600.0: faster, 0.0: result, 300.0: evaluate(MODE, MODE_AT)})
+    data = campbell_data({600.0: faster, 0.0: result, 300.0: evaluate(MODE, MODE_AT)})
     assert data.speed_rpm.tolist() == [0.0, 300.0, 600.0]
     assert data.frequency_hz[0, 0] == pytest.approx(result.model.modes()[0][0])
     assert data.std_hz[2, 0] == pytest.approx(faster.modes_std[0, 0], rel=1e-9)
@@ -256,18 +258,18 @@ def test_orbit_and_its_mean_over_the_revolutions():
     random = np.random.default_rng(0)
     p = 1e-6 * np.column_stack([3 * np.cos(phi), 2 * np.sin(phi)]) + 4e-5 + 2e-7 * random.normal(size=(4000, 2))
     rec = Recording({"p": p, "phi": np.mod(phi, 2 * np.pi)[:, None]}, 1e-3, units={"p": "m", "phi": "rad"})
-    data = report.orbit_data(rec)
+    data = orbit_data(rec)
     assert np.abs(data.mean[:, 0]).max() == pytest.approx(3e-6, rel=0.05)
     assert np.abs(data.mean[:, 1]).max() == pytest.approx(2e-6, rel=0.05)
     axes = report.plot_orbit(rec)
     assert axes.get_xlabel() == "$p_{x}$ [µm]"
     still = Recording({"p": p}, 1e-3, units={"p": "m"})
-    assert len(report.orbit_data(still, from_s=1.0, to_s=2.0).mean) == 0
-    assert len(report.orbit_data(still, from_s=1.0, to_s=2.0).xy) == 1000
+    assert len(orbit_data(still, from_s=1.0, to_s=2.0).mean) == 0
+    assert len(orbit_data(still, from_s=1.0, to_s=2.0).xy) == 1000
     with pytest.raises(UsageError, match="no samples"):
-        report.orbit_data(still, from_s=9.0)
+        orbit_data(still, from_s=9.0)
     with pytest.raises(UsageError, match="two channels"):
-        report.orbit_data(rec, "phi")
+        orbit_data(rec, "phi")
 
 
 def test_a_picture_without_axes_belongs_to_pyplot_where_that_is_used(monkeypatch):

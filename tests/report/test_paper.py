@@ -20,19 +20,21 @@ from stored_values import small as small_value
 
 import gbid
 from gbid import report
-from gbid.control import RingDown
 from gbid.control.impact.measured import MeasuredImpact
+from gbid.control.impact.ringdown import RingDown
 from gbid.control.impact.study import ImpactStudy, ImpactValidation
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import share_folder
 from gbid.core.tables import csv_text, markdown_table
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.lpv import CHARACTERISTICS, characteristics, fit_lpv, load_machine
+from gbid.lpv import characteristics, fit_lpv, load_machine
 from gbid.lpv.estimates import Estimates
+from gbid.lpv.model import CHARACTERISTICS
 from gbid.report.named import comparison, named_figures, paper
 from gbid.report.read import Results
-from gbid.rig import RotorBearingTruth, Scatter, scatter_random, scattered
+from gbid.rig import RotorBearingTruth, Scatter
+from gbid.rig.machine import scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
 from gbid.validate import ValidationScores, summarise
 

@@ -20,6 +20,8 @@ from gbid import report
 from gbid.control import p_controller, sensitivity_data
 from gbid.core.errors import UsageError
 from gbid.report.canvas import SERIES, figure_of
+from gbid.report.impact_pictures import ImpactCurves
+from gbid.report.loop_pictures import ParetoCurves
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")
@@ -114,7 +116,7 @@ def test_too_few_axes_are_refused():
         report.plot_surfaces(report.surfaces_data(machine(), ("k_xx",)), [Figure().subplots()])
     parts = Figure().subfigures(1, 2)
     one = parts[0].subplots()
-    assert report.plot_pareto(report.ParetoCurves({"P": [(1.5, 0.2)]}), one) is one
+    assert report.plot_pareto(ParetoCurves({"P": [(1.5, 0.2)]}), one) is one
     assert figure_of(one) is parts[0].figure
 
 
@@ -233,8 +235,8 @@ def test_piezo_steps_and_plateaus():
 
 def test_impact_curves_must_fit_their_time():
     with pytest.raises(UsageError, match=r"curve 'open' has shape \(3,\), the time \(4,\)"):
-        report.plot_impact(report.ImpactCurves(np.arange(4.0), {"open": np.zeros(3)}))
-    (ax,) = report.plot_impact(report.ImpactCurves(np.arange(4.0), {"open": np.ones(4)}, axis="y"))
+        report.plot_impact(ImpactCurves(np.arange(4.0), {"open": np.zeros(3)}))
+    (ax,) = report.plot_impact(ImpactCurves(np.arange(4.0), {"open": np.ones(4)}, axis="y"))
     assert ax.get_ylabel() == "$p_y$ [µm]"
     np.testing.assert_allclose(ax.get_lines()[0].get_ydata(), 1e6)
 

@@ -13,18 +13,8 @@ from scipy.integrate import solve_ivp
 
 from gbid.core.errors import UsageError
 from gbid.lpv import load_model
-from gbid.rig import (
-    FilmStiffening,
-    Machine,
-    Prbs,
-    RotorBearingTruth,
-    SensorChain,
-    Stationary,
-    Unbalance,
-    driven_motion,
-    record,
-    unbalance_orbit,
-)
+from gbid.rig import FilmStiffening, Machine, Prbs, RotorBearingTruth, SensorChain, Stationary, Unbalance, record
+from gbid.rig.response import driven_motion, unbalance_orbit
 from gbid.rig.sensors import encoder_angle
 
 TS = 2e-4

@@ -18,19 +18,9 @@ from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.structures import make_structure
 from gbid.recording import find_problems, load_recording
-from gbid.rig import (
-    Faults,
-    PiezoStacks,
-    Prbs,
-    RotorBearingTruth,
-    Scatter,
-    SensorChain,
-    drawn_truth,
-    record,
-    saturations,
-    scatter_random,
-    scattered,
-)
+from gbid.rig import Faults, PiezoStacks, Prbs, RotorBearingTruth, Scatter, SensorChain, record, saturations
+from gbid.rig.machine import scatter_random, scattered
+from gbid.rig.simulation import drawn_truth
 
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}

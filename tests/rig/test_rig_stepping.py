@@ -27,11 +27,11 @@ from gbid.rig import (
     Staircase,
     Stationary,
     Unbalance,
-    driven_motion,
     record,
     saturations,
     touch_downs,
 )
+from gbid.rig.response import driven_motion
 
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}

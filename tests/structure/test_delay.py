@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gbid.core.errors import UsageError
-from gbid.structure import pade_delay
+from gbid.structure.delay import pade_delay
 
 ORDERS = range(1, 9)
 

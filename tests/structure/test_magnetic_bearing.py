@@ -83,7 +83,7 @@ def recorded(n: int, seed: int, samples: int = 3000, noise: float = 2e-7) -> gbi
 
 def bearing(n: int, **options: object) -> gbid.MagneticBearing:
     """The structure, with a guess of its parameters."""
-    rotor = gbid.RigidRotor(axes=AXES[n], mass_kg=4.0, k_s=7e5, k_i=160.0, **(ROTOR if n == 4 else {}))
+    rotor = gbid.structure.RigidRotor(axes=AXES[n], mass_kg=4.0, k_s=7e5, k_i=160.0, **(ROTOR if n == 4 else {}))
     chain = {"amplifier_hz": 1800.0, "amplifier_delay_s": 2e-5, "longest_delay_s": 2 * T, "sensor_hz": 4000.0}
     return gbid.MagneticBearing(rotor, **{**chain, **options})
 
@@ -200,10 +200,10 @@ fits:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: gbid.RigidRotor(axes=("a", "b", "c")), "3 axes; there are rotors with 1"),
-        (lambda: gbid.RigidRotor(axes=AXES[4]), "four axes need inertia_kg_m2 and arms_m"),
-        (lambda: gbid.RigidRotor(arms_m=(0.1, -0.1)), "are for four axes; there are 1"),
-        (lambda: gbid.RigidRotor(mass_kg=0.0), "mass_kg = 0.0; give a positive number"),
+        (lambda: gbid.structure.RigidRotor(axes=("a", "b", "c")), "3 axes; there are rotors with 1"),
+        (lambda: gbid.structure.RigidRotor(axes=AXES[4]), "four axes need inertia_kg_m2 and arms_m"),
+        (lambda: gbid.structure.RigidRotor(arms_m=(0.1, -0.1)), "are for four axes; there are 1"),
+        (lambda: gbid.structure.RigidRotor(mass_kg=0.0), "mass_kg = 0.0; give a positive number"),
         (lambda: bearing(1, amplifier_hz=-1.0), "amplifier_hz = -1.0; give a positive number"),
         (lambda: bearing(1, amplifier_delay_s=1.0), "amplifier_delay_s = 1.0"),
         (lambda: bearing(1, outputs="i"), "choose ('p',) or ('i', 'p')"),

@@ -6,7 +6,8 @@ from nonlinear_cases import DUFFING, DUFFING_TRUTH, LINEAR_TRUTH, SAME
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.structure import equations_of, evaluate, nonlinear_model
+from gbid.structure import evaluate, nonlinear_model
+from gbid.structure.kinds import equations_of
 
 
 def _run(functions, u, y, p):
@@ -41,7 +42,7 @@ def test_functions_of_a_linear_structure_are_its_model(hold, delay):
         "k_xx": 0.9 * values["k_xx"],
         "tau_x": 3.6 * h,
     }  # the graphs hold near the values they are built at
-    functions = gbid.casadi_functions(structure, h, values=near, intersample=hold)
+    functions = gbid.structure.casadi_functions(structure, h, values=near, intersample=hold)
     assert functions.lags == (4 if delay == "exact" else 0)
     u, y = _signals(2, 2)
     model = evaluate(structure, values)
@@ -54,7 +55,7 @@ def test_functions_of_a_linear_structure_are_its_model(hold, delay):
 def test_functions_of_a_nonlinear_structure_are_its_model(hold):
     u, y = _signals(1, 1)
     for structure, values, steps in ((DUFFING, DUFFING_TRUTH, 3), (SAME["nonlinear"], LINEAR_TRUTH, 16)):
-        functions = gbid.casadi_functions(structure, 0.05, intersample=hold, steps=steps)
+        functions = gbid.structure.casadi_functions(structure, 0.05, intersample=hold, steps=steps)
         model = nonlinear_model(structure, values, steps=steps)
         simulated, predicted = _run(functions, u, y, [values[name] for name in functions.parameters])
         np.testing.assert_allclose(simulated, model.simulate(u, 0.05, intersample=hold), rtol=1e-10, atol=1e-13)
@@ -66,7 +67,9 @@ def test_functions_of_a_nonlinear_structure_with_exact_delays_are_its_model(hold
     structure, h, (u, y) = gbid.RotorBearing(film="stiffening", delay="exact"), 2e-4, _signals(2, 2)
     key = gbid.load_model("theisen2016").key_parameters(5.0, 6000.0)
     values = {q.name: key.get(q.name, 1.0) for q in structure.parameters} | {"tau_x": 3.3 * h}
-    functions = gbid.casadi_functions(structure, h, values={**values, "tau_x": 3.6 * h}, intersample=hold, steps=2)
+    functions = gbid.structure.casadi_functions(
+        structure, h, values={**values, "tau_x": 3.6 * h}, intersample=hold, steps=2
+    )
     model = nonlinear_model(equations_of(structure), values, steps=2)
     simulated, predicted = _run(functions, u, y, [values[name] for name in functions.parameters])
     np.testing.assert_allclose(simulated, model.simulate(u, h, intersample=hold), rtol=1e-9, atol=1e-13)
@@ -78,7 +81,7 @@ def test_functions_of_a_nonlinear_structure_with_exact_delays_are_its_model(hold
 
 
 def test_continuous_functions_have_the_same_form_for_both_kinds():
-    linear, other = (gbid.casadi_functions(SAME[kind], 0.02) for kind in ("linear", "nonlinear"))
+    linear, other = (gbid.structure.casadi_functions(SAME[kind], 0.02) for kind in ("linear", "nonlinear"))
     p = np.array([*LINEAR_TRUTH.values()])
     for functions in (linear, other):
         made = functions.continuous(x=[0.1, 0.2], u=0.3, e=0.4, p=p)
@@ -86,13 +89,13 @@ def test_continuous_functions_have_the_same_form_for_both_kinds():
         assert float(made["y"]) == pytest.approx(0.5)
         at_rest = functions.continuous(x=[0.1, 0.2], u=0.3, p=p)  # what is left out is zero
         assert float(at_rest["y"]) == pytest.approx(0.1)
-    assert gbid.casadi_functions(DUFFING, 0.1).parameters == ("k", "d", "c")
+    assert gbid.structure.casadi_functions(DUFFING, 0.1).parameters == ("k", "d", "c")
 
 
 def test_wrong_options_are_refused():
     with pytest.raises(UsageError, match="steps = 2: structure 'mass' is linear"):
-        gbid.casadi_functions(SAME["linear"], 0.02, steps=2)
+        gbid.structure.casadi_functions(SAME["linear"], 0.02, steps=2)
     with pytest.raises(UsageError, match="no value for k_xx"):
-        gbid.casadi_functions(gbid.RotorBearing(), 1e-3)
+        gbid.structure.casadi_functions(gbid.RotorBearing(), 1e-3)
     with pytest.raises(UsageError, match="values names unknown parameters: q"):
-        gbid.casadi_functions(DUFFING, 1e-3, values={"q": 1.0})
+        gbid.structure.casadi_functions(DUFFING, 1e-3, values={"q": 1.0})

@@ -16,13 +16,12 @@ from gbid.structure import (
     Plant,
     RotorBearing,
     Values,
-    as_names,
     evaluate,
     load_structure,
-    pade_delay,
     scheduled,
-    symbolic_matrices,
 )
+from gbid.structure.delay import pade_delay
+from gbid.structure.linear import as_names, symbolic_matrices
 
 FREQUENCIES = np.array([0.0, 20.0, 126.6, 400.0, 1500.0])
 ACTUATORS = {"p1_x": 3078.0, "p2_x": 8143.0, "kappa_x": 1.863, "p1_y": 2452.0, "p2_y": 6494.0, "kappa_y": 1.865}

@@ -10,6 +10,9 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 import gbid
 from gbid import report
 from gbid.control import p_controller, sensitivity_data
+from gbid.report.impact_pictures import ImpactCurves, ImpactLoops
+from gbid.report.loop_pictures import ParetoCurves
+from gbid.report.measured_pictures import piezo_data
 from gbid.report.page import Picture, Pictures
 from gbid.structure import LinearModel, evaluate
 from gbid.validate import NominalActuator, ValidationScores, summarise
@@ -130,7 +133,7 @@ def impact():
         name: 2e-5 * m.simulate(pulse, 2e-4)[:, 0] for name, m in (("open loop", plant), ("closed loop", closed))
     }
     forces = {"open loop": 30 * pulse[:, 0], "closed loop": 29 * pulse[:, 0]}
-    return report.plot_impact(report.ImpactCurves(time, responses, forces, "x", POINT))
+    return report.plot_impact(ImpactCurves(time, responses, forces, "x", POINT))
 
 
 def impact_loops():
@@ -141,7 +144,7 @@ def impact_loops():
         for name, d in (("open loop", 25), ("published gains", 300), ("biquad", 600))
     }
     spread = {name: np.full_like(values, 3e-7) for name, values in mean.items()}
-    return report.plot_impact_loops(report.ImpactLoops(time, mean, spread, POINT))
+    return report.plot_impact_loops(ImpactLoops(time, mean, spread, POINT))
 
 
 def piezo_staircases():
@@ -161,7 +164,7 @@ def piezo_staircases():
     ):
         signals = {"r": scale * command, "u": position}
         recording = gbid.Recording(signals, 2e-3, units={"r": unit, "u": "m"})
-        staircases.append(report.piezo_data(gbid.characterise_piezo(recording), recording, "r"))
+        staircases.append(piezo_data(gbid.characterise_piezo(recording), recording, "r"))
     return staircases
 
 
@@ -179,7 +182,7 @@ def pareto():
         "P": list(zip(peak, 0.35 * (1 - np.exp(1.0 - peak)), strict=True)),
         "biquad": list(zip(peak, 0.75 * (1 - np.exp(1.2 * (1.0 - peak))), strict=True)),
     }
-    return report.plot_pareto(report.ParetoCurves(designs, {"paper": (2.283, 0.318)}, title=POINT))
+    return report.plot_pareto(ParetoCurves(designs, {"paper": (2.283, 0.318)}, title=POINT))
 
 
 def damping_map():

@@ -15,8 +15,8 @@ from gbid.lpv import load_model
 from gbid.lpv.estimates import Estimates
 from gbid.lpv.fit import LPVFit
 from gbid.lpv.regression import OrderScore, Outlier
-from gbid.prefilter import PiezoCurve, PrefilterFile, StaticMap
-from gbid.prefilter.filtering import PrefilterReport
+from gbid.prefilter import PiezoCurve, StaticMap
+from gbid.prefilter.filtering import PrefilterFile, PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import Recording
 from gbid.validate.crossval import ValidationSummary

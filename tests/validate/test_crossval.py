@@ -10,7 +10,8 @@ from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import evaluate
-from gbid.validate import cross_validate, estimate_initial_state, fit_percent
+from gbid.validate import cross_validate, fit_percent
+from gbid.validate.simulate import estimate_initial_state
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from gbid.identify import FitTable, fit
 from gbid.lpv import load_model
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair
-from gbid.validate import load_actuators, nominal_actuator, save_nominal_actuator
-from gbid.validate.central import ACTUATOR
+from gbid.validate import load_actuators, nominal_actuator
+from gbid.validate.central import ACTUATOR, save_nominal_actuator
 
 STILL = {"speed_rpm": 0.0}
 TRUE = np.array([3078.0, 8143.0, 1.863, 2452.0, 6494.0, 1.865])

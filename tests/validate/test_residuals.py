@@ -15,7 +15,8 @@ from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
-from gbid.validate import check_residuals, cross_validate, estimate_initial_state
+from gbid.validate import check_residuals, cross_validate
+from gbid.validate.simulate import estimate_initial_state
 
 OFFSET = Disturbances(("y",), (Trend(1),))
 

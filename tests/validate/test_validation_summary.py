@@ -10,7 +10,8 @@ from rig_point import machine
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import write_csv
-from gbid.identify import fit, select
+from gbid.identify import fit
+from gbid.identify.data import select
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
 from gbid.validate import (

@@ -22,7 +22,8 @@ from gbid.core.arrays import is_finite
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, CountOrZero, Exact, Finite, Positive, check_options
 from gbid.discretise import Hold
-from gbid.structure import LinearModel, LinearStructure, Parameter, with_pade
+from gbid.structure import LinearModel, LinearStructure, Parameter
+from gbid.structure.delay import with_pade
 from gbid.structure.parameter import Values
 
 # ---- Parts: gains and filter of an axis, low-pass (paper, Eq. 21), sections of filters.

@@ -10,7 +10,8 @@ from typing import Any
 from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PerAxis, PStructure, built_in_structures
 from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
-from gbid.lpv import TERMS, Domain, basis
+from gbid.lpv import Domain
+from gbid.lpv.model import TERMS, basis
 from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import OnBase, Structure, model_function
 from gbid.structure.parameter import Values
@@ -151,7 +152,7 @@ class Scheduled(OnBase):
     base : Structure
         Structure of the controller at one operating point.
     terms : tuple of str
-        Terms of `gbid.lpv.TERMS`; ``"1"`` must be one of them.
+        Terms of `TERMS`; ``"1"`` must be one of them.
     domain : Domain
         Range of pressure and speed.
     """
@@ -273,7 +274,7 @@ def scheduled(
     structure : Structure
         Structure of the controller at one operating point; see `controller_structure`.
     terms : sequence of str
-        Terms of the polynomials, from `gbid.lpv.TERMS`.
+        Terms of the polynomials, from `TERMS`.
     domain : Domain, optional
         Range that scales pressure and speed, usually ``lpv.domain``. By default 3 to 7 bar and 0 to 6000 rpm.
 

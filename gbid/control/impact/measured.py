@@ -14,7 +14,7 @@ from gbid.control.loop.close import close_loop, force_entry, sample_plant
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
-from gbid.discretise import discretise, propagate
+from gbid.discretise.exact import discretise, propagate
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 

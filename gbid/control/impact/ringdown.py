@@ -22,7 +22,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import CountOrZero, NotNegative
-from gbid.discretise import propagate
+from gbid.discretise.exact import propagate
 from gbid.prefilter.runout import shaft_motion
 from gbid.recording import Recording
 

@@ -33,8 +33,9 @@ from gbid.core.hdf5 import Stored
 from gbid.core.tables import Column, Entry, Row, Table, formatted, keyed_table, shown_unit
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
-from gbid.structure import LinearModel, PiezoPair, evaluate
-from gbid.validate import fit_percent
+from gbid.structure import LinearModel, PiezoPair
+from gbid.structure.linear import evaluate
+from gbid.validate.simulate import fit_percent
 
 # ---- Validation of simulated impact responses, and identification of the force scale (paper, Sec. 5.1, Figs. 24 to
 # 27).
@@ -142,7 +143,7 @@ def validate_impact(
     computation_s : float, optional
         Time from the sample of p to the change of r, for sampled controllers only [s]; one sample when not given.
     entry : (n, 2) array, optional
-        Input matrix of a force per mass; from `gbid.control.force_entry` when not given.
+        Input matrix of a force per mass; from `force_entry` when not given.
 
     Returns
     -------

@@ -12,7 +12,7 @@ import scipy
 
 from gbid.core.arrays import FloatArray, is_real
 from gbid.core.errors import UsageError
-from gbid.discretise import delayed_taps
+from gbid.discretise.exact import delayed_taps
 from gbid.structure import LinearModel
 
 

@@ -15,7 +15,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Finite, Positive, check_options
-from gbid.discretise import propagate
+from gbid.discretise.exact import propagate
 from gbid.lpv import MachineData
 from gbid.structure import LinearModel
 

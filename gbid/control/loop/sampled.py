@@ -10,7 +10,8 @@ from gbid.control.loop.norm import Peak
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
 from gbid.core.brief import Brief
 from gbid.lpv import LPVModel
-from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, evaluate
+from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing
+from gbid.structure.linear import evaluate
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearM
     -------
     LinearModel
         Continuous plant, equal to `LPVModel.plant_at` but for the delays. Frequency responses, `sample_plant` and
-        `gbid.with_pade` accept it.
+        `gbid.structure.with_pade` accept it.
 
     Raises
     ------

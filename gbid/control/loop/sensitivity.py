@@ -18,7 +18,9 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.figures import Pictured
-from gbid.structure import LinearModel, frequency_grid, with_pade
+from gbid.structure import LinearModel
+from gbid.structure.delay import with_pade
+from gbid.structure.models import frequency_grid
 
 Which = Literal["output", "input", "control", "plant", "complementary"]
 STABILITY_PADE_ORDER = 6
@@ -82,7 +84,7 @@ class Sensitivities(Brief, Pictured):
         Raises
         ------
         UsageError
-            When the name is unknown, or when the plant has exact delays (replace them first with `gbid.with_pade`).
+            When the name is unknown, or when the plant has exact delays: replace them with `gbid.structure.with_pade`.
         """
         _check_which(which)
         if self.has_delay:
@@ -215,7 +217,7 @@ def sensitivities(plant: LinearModel, controller: LinearModel) -> Sensitivities:
     Examples
     --------
     >>> import gbid
-    >>> from gbid.control import p_controller
+    >>> from gbid.control.controllers.structures import p_controller
     >>> loop = gbid.sensitivities(gbid.load_model("theisen2016").plant_at(6, 0), p_controller(1.125, 0.99))
     >>> round(loop.peak("output").value, 3)
     2.283
@@ -571,7 +573,7 @@ def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
     Raises
     ------
     UsageError
-        When the plant does not show where a force enters (see `gbid.control.force_entry`).
+        When the plant does not show where a force enters (see `force_entry`).
     """
     G_f = static_force_gain(loop.plant)
     opened, closed = np.diag(G_f), np.diag(loop.response("output", 0.0)[0].real @ G_f)

@@ -17,7 +17,8 @@ import scipy
 from gbid.control.controllers.structures import Scheduled
 from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
-from gbid.structure import LinearModel, pade_delay
+from gbid.structure import LinearModel
+from gbid.structure.delay import pade_delay
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
 

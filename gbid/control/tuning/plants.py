@@ -33,8 +33,10 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Count, CountOrZero, NotNegative, Positive, check_options
 from gbid.identify import FitResult
-from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
-from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
+from gbid.lpv import Domain, LPVFit, LPVModel
+from gbid.lpv.model import ACTUATOR_PARAMETERS, TERMS, regressors
+from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
+from gbid.structure.delay import with_pade
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
 
@@ -49,7 +51,7 @@ class Uncertainty(Brief):
     ----------
     covariance : (84, 84) array, optional
         Covariance of the coefficients of Eq. 16: the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) with six
-        terms each (`gbid.lpv.TERMS`), in SI per bar and rpm, as an LPV fit gives it.
+        terms each (`TERMS`), in SI per bar and rpm, as an LPV fit gives it.
     samples : (n, 14) array, optional
         In place of the covariance: deviations of the key parameters from the model, the same at every operating point.
     draws : int

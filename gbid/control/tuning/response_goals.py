@@ -174,7 +174,7 @@ class ResponseGoal(Wanted):
         One limit for all frequencies, breakpoints between which the limit is straight in logarithmic axes, or a model
         whose gain is the limit.
     soft, weight
-        See `gbid.control.Wanted`.
+        See `Wanted`.
     """
 
     limit: BoundLike

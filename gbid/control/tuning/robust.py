@@ -201,7 +201,7 @@ def tune_robust(
         As for `gbid.tune`.
     **options
         Options of `gbid.tune`, such as `goals` (objectives and limits, needed), `operating_points` and `sample_time`,
-        and those of `gbid.control.RobustOptions`: `probability`, `confidence`, `uncertainty`, `draws`, `fresh`, `seed`
+        and those of `RobustOptions`: `probability`, `confidence`, `uncertainty`, `draws`, `fresh`, `seed`
         and `rounds`.
 
     Returns

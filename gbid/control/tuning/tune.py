@@ -97,7 +97,7 @@ def tune(
         frequency as well, use ``controller_structure("P", tune_corner=True)``. For gains that depend on pressure and
         speed, use `gbid.control.scheduled`.
     progress : callable, optional
-        Called with a `gbid.control.SearchStep` after each stage; True shows them on one line of standard error.
+        Called with a `SearchStep` after each stage; True shows them on one line of standard error.
     **options
         Fields of `gbid.control.TuneOptions`: goals, or the short forms ``objective="damping"`` and
         ``peak_sensitivity=2.6``; ``operating_points``, ``actuator``, ``inputs``, ``outputs`` and ``uncertainty`` of the

@@ -628,6 +628,9 @@ class InFile:
         """Write this value to the empty `group`."""
         write_fields(group, self)
 
+    def write_beside(self, path: Path, overwrite: bool) -> None:
+        """Write what a value has in a file of another format beside its own at `path`; most have nothing."""
+
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> Self:
         """Return the value in a `group` of `to_hdf5`."""
@@ -638,9 +641,9 @@ _TYPES = MappingProxyType(
     {
         "fit": ("gbid.identify", "FitResult"),
         "impact": ("gbid.control", "ImpactStudy"),
-        "lpv_fit": ("gbid.lpv", "load_lpv_fit"),
+        "lpv_fit": ("gbid.lpv", "LPVFit"),
         "piezo_curve": ("gbid.prefilter", "PiezoCurve"),
-        "prefilter": ("gbid.prefilter", "PrefilterFile"),
+        "prefilter": ("gbid.prefilter.filtering", "PrefilterFile"),
         "recording": ("gbid.recording", "Recording"),
         "static_map": ("gbid.prefilter", "StaticMap"),
         "table": ("gbid.identify", "FitTable"),
@@ -648,10 +651,7 @@ _TYPES = MappingProxyType(
         "validation_summary": ("gbid.validate", "ValidationSummary"),
     }
 )
-"""Type of the value in a kind of file, or the function that reads it with the files beside it.
-
-It lies above this package, and is imported when such a file is loaded.
-"""
+"""Type of the value in a kind of file. It lies above this package, and is imported when such a file is loaded."""
 F = TypeVar("F", bound=InFile)
 DOCUMENT = "document"
 """Dataset of the plain values that pages show of a value."""
@@ -681,6 +681,7 @@ def save(value: InFile, path: str | Path, overwrite: bool = False, document: Any
         When the file cannot be written.
     """
     with writing(path, value.FILE, overwrite) as file:
+        value.write_beside(Path(path), overwrite)
         value.to_hdf5(file)
         file.attrs.update(attributes)
         if document is not None:
@@ -736,7 +737,5 @@ def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
             raise DataError(f"{path}: a {name} file; `gbid.load` reads {', '.join(_TYPES)}")
         module, made = _TYPES[name]
         kind = getattr(import_module(module), made)
-        if not isinstance(kind, type):
-            return kind(path)
     with reading(path, kind.FILE) as file:
         return kind.from_hdf5(file)

@@ -35,9 +35,10 @@ from gbid.experiment.run import (
 from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result, left_out_of, load_made_fit
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
+from gbid.identify.table import tabulate
 from gbid.recording import Recording
-from gbid.structure import kind_of
-from gbid.validate.central import ACTUATOR, summary_csv_table
+from gbid.structure.kinds import kind_of
+from gbid.validate.central import ACTUATOR, save_nominal_actuator, summary_csv_table
 from gbid.validate.crossval import score
 from gbid.validate.simulate import Simulator, ValidationData, simulator, validation_data
 
@@ -495,7 +496,7 @@ def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
     """
     experiment, fit = job.experiment, needed(job.experiment.spec.nominal, "nominal").fit
     entries = fit_entries(job, fit)
-    nominal = validate.nominal_actuator(identify.tabulate(entries))
+    nominal = validate.nominal_actuator(tabulate(entries))
     models = [fit_result(experiment, fit, entry.model) for entry in entries if entry.result is not None]
     settings = {"left_out": nominal.left_out}
     return nominal, experiment.result(Item("nominal", fit), NOMINAL_FOLDER, settings, models, ending=".yaml")
@@ -504,7 +505,7 @@ def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
 def _write_nominal(job: Job, part: Path) -> Made:
     nominal, result = nominal_of(job)
     source = f"{job.experiment.spec.name}, fit {result.item}, model of {nominal.name}"
-    validate.save_nominal_actuator(nominal, part, source=source, overwrite=True)
+    save_nominal_actuator(nominal, part, source=source, overwrite=True)
     return Made(f"{nominal.name}; {len(nominal.outliers)} outliers")
 
 

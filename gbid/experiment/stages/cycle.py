@@ -29,6 +29,7 @@ from gbid.experiment.stages.lpv import LPV, Surfaces
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.tune import TUNE, design_tasks, read_designs
+from gbid.lpv.model import CHARACTERISTICS
 from gbid.structure import KEY_PARAMETERS
 
 if TYPE_CHECKING:
@@ -284,7 +285,7 @@ def modes_of_surfaces(fit: lpv.LPVFit, pressure_bar: float, speed_rpm: float) ->
     covariance = fit.uncertainty_at(pressure_bar, speed_rpm)
     steps = _STEP * np.sqrt(np.diag(covariance))
     near = lpv.characteristics(np.vstack([values, values + np.diag(steps), values - np.diag(steps)]))
-    columns = [lpv.CHARACTERISTICS.index(name) for name in ("omega_1", "omega_2", "zeta_1", "zeta_2")]
+    columns = [CHARACTERISTICS.index(name) for name in ("omega_1", "omega_2", "zeta_1", "zeta_2")]
     mean, up, down = near[0, columns], near[1 : 1 + len(values), columns], near[1 + len(values) :, columns]
     moving = steps > 0
     slopes = (up - down)[moving] / (2 * steps[moving, None])
@@ -406,7 +407,7 @@ def made_rows(job: Job) -> list[CycleRow]:
 def _write_table(job: Job, part: Path) -> None:
     rows = []
     for number, each in enumerate(_rounds(job)):
-        fit = lpv.load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ending=".yaml"))
+        fit = load(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit), lpv.LPVFit)
         design = load_design(each.path(TUNED, cycle_design(job.experiment)))
         rows += [_row(number, fit, design, load(task.path, control.ImpactStudy)) for task in study_tasks(each)]
     write_csv(cycle_table(rows), part)

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from gbid import identify, validate
+from gbid import identify
+from gbid.core import hdf5
 from gbid.core.errors import DataError, GbidError, nearest
 from gbid.core.hdf5 import document_in, read_document, read_group, read_texts, reading, save
 from gbid.core.index import DOCUMENT, known, version_of
@@ -38,10 +39,13 @@ from gbid.experiment.structures import (
 from gbid.identify.fit_tables import fit_document
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
-from gbid.identify.table import MODE_BLOCKS
-from gbid.recording import ProblemKind, Recording
-from gbid.structure import AnyStructure, kind_of
+from gbid.identify.result import FitResult
+from gbid.identify.table import MODE_BLOCKS, FitRow, TableEntry
+from gbid.recording import Recording
+from gbid.recording.quality import ProblemKind
+from gbid.structure.kinds import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
+from gbid.validate.residuals import shaft_lines
 
 
 def fits_can_be_made(experiment: Experiment) -> Found:
@@ -296,7 +300,7 @@ def _summary(path: Path) -> tuple[str, bool, float]:
     )
 
 
-def table_row(path: Path) -> identify.FitRow:
+def table_row(path: Path) -> FitRow:
     """Return the row of a fit in a table of many, from its document: a tenth of the time to load the fit.
 
     Raises
@@ -318,7 +322,7 @@ def table_row(path: Path) -> identify.FitRow:
         "static_gain_std": {f"{q['input']} to {q['output']}": q["std"] for q in document["static_gain"]},
         **{block: dict(enumerate(q[block.removeprefix("mode_")] for q in document["modes"])) for block in MODE_BLOCKS},
     }
-    return identify.FitRow(
+    return FitRow(
         **{key: document[key] for key in ("structure", "success", "status", "iterations", "wall_time_s")},
         notes=tuple(document["notes"]),
         units={q["parameter"]: q["unit"] for q in document["parameters"]},
@@ -346,10 +350,10 @@ def load_made_fit(job: Job, name: str, model: str) -> identify.FitResult:
 @lru_cache(maxsize=256)
 def _load(path: Path, _version: tuple[int, ...]) -> identify.FitResult:
     """Return the fit in a file; cached, because the stages after the fits read the same ones."""
-    return identify.load_fit(path)
+    return hdf5.load(path, FitResult)
 
 
-def fit_entries(job: Job, name: str) -> list[identify.TableEntry]:
+def fit_entries(job: Job, name: str) -> list[TableEntry]:
     """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has its reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
@@ -358,7 +362,7 @@ def fit_entries(job: Job, name: str) -> list[identify.TableEntry]:
             result, failure = load_made_fit(job, name, model), ""
         except (DataError, OSError) as error:
             result, failure = None, str(error)
-        entries.append(identify.TableEntry(name, model, tuple(recordings), conditions, result, failure))
+        entries.append(TableEntry(name, model, tuple(recordings), conditions, result, failure))
     return entries
 
 
@@ -480,7 +484,7 @@ def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Re
                 f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
                 f"{rec.units.get(line.output.rpartition('_')[0], '')} rms at {line.frequency_hz:.1f} Hz, "
                 f"order {line.order} of the shaft; {removed}"
-                for line in validate.shaft_lines(result, rec, left_out_of(job.experiment, name, rec))
+                for line in shaft_lines(result, rec, left_out_of(job.experiment, name, rec))
             ]
     return notes
 

@@ -31,7 +31,7 @@ from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_ru
 from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
 from gbid.experiment.schema import HammerTrain, ImpactsSection
-from gbid.recording import load_recording, save_recording
+from gbid.recording.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
 """Longest impact as a fraction of the time between impacts; the ring-down needs the remaining time."""

@@ -24,8 +24,10 @@ from gbid.experiment.recordings import (
 )
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.prefilter.filtering import repair_overloads
-from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording
+from gbid.recording import ImportMapping, Recording
 from gbid.recording.formats import file_formats, format_of
+from gbid.recording.importing import import_recording
+from gbid.recording.quality import find_group_problems
 
 
 def data_can_be_read(experiment: Experiment) -> Found:

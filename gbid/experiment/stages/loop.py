@@ -24,6 +24,7 @@ from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.stages.rig import controller_problems
 from gbid.experiment.stages.tune import design_task
+from gbid.identify.table import TableEntry
 
 
 def fit_loops_are_known(experiment: Experiment) -> Found:
@@ -181,14 +182,14 @@ def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
     return rows
 
 
-def _converged(job: Job, name: str) -> list[tuple[identify.TableEntry, identify.FitResult]]:
+def _converged(job: Job, name: str) -> list[tuple[TableEntry, identify.FitResult]]:
     return [
         (entry, entry.result) for entry in fit_entries(job, name) if entry.result is not None and entry.result.success
     ]
 
 
 def _by_point(
-    job: Job, entries: Sequence[tuple[identify.TableEntry, identify.FitResult]]
+    job: Job, entries: Sequence[tuple[TableEntry, identify.FitResult]]
 ) -> dict[str, list[identify.FitResult]]:
     results: dict[str, list[identify.FitResult]] = {}
     for entry, result in entries:

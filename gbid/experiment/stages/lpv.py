@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gbid import identify, lpv, validate
+from gbid import lpv, validate
 from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
@@ -23,10 +23,13 @@ from gbid.experiment.schema import LpvSection
 from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.structures import make_structure, structure_or_none
+from gbid.identify.table import TableEntry, tabulate
 from gbid.lpv.estimates import check_points, chosen_exponents
+from gbid.lpv.model import ACTUATOR_PARAMETERS
 from gbid.lpv.model_file import write_model
-from gbid.structure import KEY_PARAMETERS, ScheduledStructure, kind_of
+from gbid.structure import KEY_PARAMETERS, ScheduledStructure
 from gbid.structure.built_in import pade_order_of
+from gbid.structure.kinds import kind_of
 
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
@@ -107,7 +110,7 @@ class Surfaces:
         return replace(fit, model=replace(fit.model, machine=machine_data(self._job.experiment)))
 
     @cached_property
-    def _entries(self) -> list[identify.TableEntry]:
+    def _entries(self) -> list[TableEntry]:
         return fit_entries(self._job, self._section.fit)
 
     @cached_property
@@ -123,7 +126,7 @@ class Surfaces:
             actuators = self._actuators or None
             return lpv.lpv_of(results[0], actuators=actuators, name=spec.name, title=spec.title, source=source)
         return lpv.fit_lpv(
-            identify.tabulate(self._entries),
+            tabulate(self._entries),
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,
@@ -161,7 +164,7 @@ class Surfaces:
         if known is not None or nominal is None:
             return known or {}
         values = validate.load_actuators(self._job.path("nominal", nominal.fit, ending=".yaml"))
-        return {name: values[name] for name in lpv.ACTUATOR_PARAMETERS}
+        return {name: values[name] for name in ACTUATOR_PARAMETERS}
 
 
 # ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
@@ -212,38 +215,32 @@ def read_surfaces(job: Job) -> dict[str, lpv.LPVFit]:
             result = surfaces.result(item)
             path = result.path.with_suffix(".yaml")
             if stored_key(path) == result.key:
-                fits[item] = lpv.load_lpv_fit(path)
+                fits[item] = hdf5.load(path.with_suffix(".h5"), lpv.LPVFit)
     return fits
 
 
 def _write_uncertainty(job: Job, part: Path, item: str) -> Made:
     """Write the uncertainty of surfaces, with the text of the model file beside it."""
-    from gbid.lpv.fit import KIND, write_uncertainty
-
     surfaces = Surfaces(job)
     fit = surfaces.make(item)
     with scratch_folder(part) as folder:
         file = folder / "model.yaml"
         write_model(fit.model, file)
         text = file.read_text(encoding="utf-8")
-    with hdf5.writing(part, KIND, overwrite=True) as h5:
-        write_uncertainty(fit, h5, surfaces.result(item).key)
-        h5.attrs[_MODEL] = text
+    with hdf5.writing(part, lpv.LPVFit.FILE, overwrite=True) as h5:
+        fit.to_hdf5(h5)
+        h5.attrs.update({"key": surfaces.result(item).key, _MODEL: text})
     return Made(fit.status)
 
 
 def _write_model(_: Job, part: Path, source: Path) -> Made:
-    from gbid.lpv.fit import KIND
-
-    with hdf5.reading(source, KIND) as file:
+    with hdf5.reading(source, lpv.LPVFit.FILE) as file:
         part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
     return _read_status(source)
 
 
 def _read_status(path: Path) -> Made:
-    from gbid.lpv.fit import KIND
-
-    with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
+    with hdf5.reading(path.with_suffix(".h5"), lpv.LPVFit.FILE) as file:
         success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
     return Made(str(status), bool(success))
 

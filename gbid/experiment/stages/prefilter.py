@@ -23,17 +23,17 @@ from gbid.experiment.recordings import (
 )
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import PrefilterSection
-from gbid.prefilter import (
-    PrefilterFile,
-    RunoutMap,
+from gbid.prefilter import RunoutMap
+from gbid.prefilter.filtering import PrefilterFile, prefilter, read_report, save_prefiltered
+from gbid.prefilter.runout_identification import (
     align_index,
     compare_runout,
     identify_runout,
-    prefilter,
+    leftover_words,
+    refuse_lost_index,
 )
-from gbid.prefilter.filtering import read_report, save_prefiltered
-from gbid.prefilter.runout_identification import leftover_words, refuse_lost_index
-from gbid.recording import Recording, load_recording, with_unbalance
+from gbid.recording import Recording
+from gbid.recording.recording import load_recording, with_unbalance
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gbid import control
+from gbid.control.loop.close import sample_plant
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError, nearest
 from gbid.experiment.controllers import (
@@ -26,8 +27,10 @@ from gbid.experiment.recordings import recording_result, recording_tasks, save_m
 from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
-from gbid.prefilter import RunoutMap, identify_runout
-from gbid.rig import ProgramController, SampledController, rig_effect, rig_effects
+from gbid.prefilter import RunoutMap
+from gbid.prefilter.runout_identification import identify_runout
+from gbid.rig import ProgramController, SampledController
+from gbid.rig.effects import rig_effect, rig_effects
 from gbid.rig.excitation import whole_samples
 from gbid.structure import LinearModel
 
@@ -228,7 +231,7 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
     if not model.actuators:
         return
     pressure, speed = planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]
-    plant = control.sample_plant(control.exact_plant(model, pressure, speed), rig.sample_time_s, rig.sample_time_s)
+    plant = sample_plant(control.exact_plant(model, pressure, speed), rig.sample_time_s, rig.sample_time_s)
     if not control.close_loop(plant, sampled).is_stable():
         at = point_label(pressure, speed)
         raise UsageError(f"controller {sampled.name!r} makes the rotor unstable at {at}; choose another")

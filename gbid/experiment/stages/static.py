@@ -14,7 +14,9 @@ from gbid.experiment.fields import Found, Item, Location, Result
 from gbid.experiment.recordings import load_made, recording_result, refuse_bad_signals
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals
-from gbid.prefilter import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase
+from gbid.prefilter import PiezoCurve, StaticMap
+from gbid.prefilter.piezo import characterise_piezo
+from gbid.prefilter.staircase import characterise_staircase
 
 ONLY_FOR = {"bearing": ("source",), "piezo": ("channel", "command_channel", "settle_s", "limits")}
 """Keys that only one of the two kinds has."""

@@ -12,7 +12,7 @@ from gbid import control, lpv
 from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import GbidError, nearest
 from gbid.core.files import scratch_folder
-from gbid.core.hdf5 import save
+from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import (
     TUNED,
     controller_section,
@@ -256,7 +256,7 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Unc
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    surfaces, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ending=".yaml")), section.uncertainty
+    surfaces, drawn = load(job.path(LPV_FOLDER, item), lpv.LPVFit), section.uncertainty
     model = with_actuators(surfaces.model)
     if section.robust is not None:
         return model, control.Uncertainty(surfaces.covariance, scatter=surfaces.scatter)

@@ -23,11 +23,14 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
+from gbid.discretise import Hold
+from gbid.discretise.exact import check_holds
+from gbid.discretise.steps import IntegratorName, one_step, step_inputs
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.identify.predictor import GeneralPredictor, refuse_irregular
-from gbid.structure import Parameter, kind_of
+from gbid.structure import Parameter
+from gbid.structure.kinds import kind_of
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
 
 

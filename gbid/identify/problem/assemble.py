@@ -17,7 +17,7 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
 from gbid.core.compiled import CompilerMissingError
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import distinct_steps
+from gbid.discretise.exact import distinct_steps
 from gbid.identify.data import FitData, Record, column_variances
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.frequency_data import FrequencyData
@@ -40,7 +40,8 @@ from gbid.identify.options import FitArguments, Focus, RunEngine, Scope
 from gbid.identify.predictor import GeneralPredictor, Predictor, build_predictor
 from gbid.identify.problem.nlp import ExtraTerms, Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
-from gbid.structure import AnyStructure, Parameter, Values, kind_of
+from gbid.structure import Parameter, Values
+from gbid.structure.kinds import AnyStructure, kind_of
 from gbid.structure.linear import in_one_line
 
 # ---- Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces.

@@ -15,7 +15,8 @@ from gbid.discretise import Hold
 from gbid.identify.data import FitData, moves
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.options import InitialState, OwnState
-from gbid.structure import AnyStructure, Parameter, kind_of
+from gbid.structure import Parameter
+from gbid.structure.kinds import AnyStructure, kind_of
 
 if TYPE_CHECKING:
     from gbid.identify.problem.nlp import Shooting

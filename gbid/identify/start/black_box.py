@@ -21,7 +21,8 @@ from gbid.identify.data import Record, column_means, gather
 from gbid.identify.predictor import Predictor
 from gbid.identify.uncertainty.curves import Tabled
 from gbid.recording import Recording
-from gbid.structure import LinearModel, as_names
+from gbid.structure import LinearModel
+from gbid.structure.linear import as_names
 
 _ENOUGH = 30_000  # largest number of rows of the regression
 _MOST_LAGS = 60  # largest number of past samples
@@ -281,7 +282,7 @@ _VISIBLE = 1e-4  # singular value, of the largest, below which a state is roundi
 
 @dataclass(frozen=True, eq=False)
 class SubspaceOrders(Tabled, Pictured):
-    """What chooses the order of a subspace model; `gbid.subspace_orders` makes it.
+    """What chooses the order of a subspace model; `gbid.identify.subspace_orders` makes it.
 
     Attributes
     ----------

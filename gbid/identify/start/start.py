@@ -15,22 +15,15 @@ import scipy
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import Hold, check_holds, hold_response
+from gbid.discretise import Hold
+from gbid.discretise.exact import check_holds, hold_response
 from gbid.identify.data import FitData, Record, centred_rows, moves
 from gbid.identify.predictor import Predictor, build_predictor
 from gbid.identify.start.black_box import BlackBox, Target, black_box, match
-from gbid.structure import (
-    ClosedLoop,
-    Parameter,
-    PiezoPair,
-    Plant,
-    RotorBearing,
-    Structure,
-    evaluate,
-    kind_of,
-    symbolic_matrices,
-)
+from gbid.structure import ClosedLoop, Parameter, PiezoPair, Plant, RotorBearing, Structure
 from gbid.structure.built_in import AXES, PAIRS
+from gbid.structure.kinds import kind_of
+from gbid.structure.linear import evaluate, symbolic_matrices
 
 # ---- Spectra of records, and complex equations as real ones.
 

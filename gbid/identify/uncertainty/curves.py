@@ -18,8 +18,8 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
 from gbid.core.tables import Column, Entry, Table
-from gbid.discretise import discretise
 from gbid.discretise.dual import Dual, constant
+from gbid.discretise.exact import discretise
 from gbid.identify.uncertainty.uncertain_model import (
     ModelLike,
     ModelSlopes,
@@ -28,7 +28,8 @@ from gbid.identify.uncertainty.uncertain_model import (
     plane_covariance,
     std_of,
 )
-from gbid.structure import LinearModel, frequency_grid
+from gbid.structure import LinearModel
+from gbid.structure.models import frequency_grid
 
 _STEPS_PER_TURN, _MOST_STEPS = 8, 20_000  # for the phase of a delay
 LEVEL = 0.95

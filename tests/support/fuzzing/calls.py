@@ -74,10 +74,10 @@ def _fit() -> Any:
 def _controller_file() -> tuple[str, ...]:
     folder = tempfile.mkdtemp()
     gbid.save_controller(f"{folder}/p.yaml", "P", {"kappa_x": 1.0, "kappa_y": 0.9}, sample_time=2e-4)
-    gbid.save_fit(_fit(), f"{folder}/fit.h5")
+    gbid.save(_fit(), f"{folder}/fit.h5")
     gbid.save_recording(stored_values.recording(), f"{folder}/recording.h5")
-    gbid.identify.save_table(stored_values.fit_table(), f"{folder}/table.h5")
-    gbid.save_lpv_fit(stored_values.lpv_fit(), f"{folder}/lpv.yaml")
+    gbid.save(stored_values.fit_table(), f"{folder}/table.h5")
+    gbid.save(stored_values.lpv_fit(), f"{folder}/lpv.h5")
     Path(f"{folder}/a.csv").write_text("t,a\n" + "".join(f"{k / 1000},{k % 7}\n" for k in range(60)))
     return (folder,)
 
@@ -127,13 +127,13 @@ def valid_calls() -> dict[str, dict[str, Any]]:
     gains = {"kappa_x": 1.0, "kappa_y": 0.9}
     points = [(6.0, 0.0)]
     tuned = {f.name: f.default for f in fields(TuneOptions) if f.init and not f.name.startswith("_")}
-    known = gbid.KnownModel(MODE, MODE_AT, np.eye(1))
+    known = gbid.excite.KnownModel(MODE, MODE_AT, np.eye(1))
     runout = gbid.identify_runout(turning, harmonics=2, still=1e-3)
-    scores = gbid.cross_validate_many([result], [other])
+    scores = gbid.validate.cross_validate_many([result], [other])
     dynamics = (lambda x, u, p: ca.vertcat(-p.a * x[0] + u[0]), lambda x, u, p: x)
     rig_data = [recorded((5.0, 6000.0), 0, n=200)]
     objects = {
-        "ExcitationLimits": gbid.ExcitationLimits({"u": 1.0}),
+        "ExcitationLimits": gbid.excite.ExcitationLimits({"u": 1.0}),
         "KnownModel": known,
         "LPVModel": lpv,
         "LinearModel": plant,
@@ -207,11 +207,8 @@ def valid_calls() -> dict[str, dict[str, Any]]:
         },
         "load": {"path": f"{files}/recording.h5"},
         "load_controller": {"path": f"{files}/p.yaml"},
-        "load_fit": {"path": f"{files}/fit.h5"},
-        "load_lpv_fit": {"path": f"{files}/lpv.h5"},
         "load_model": {"name_or_path": "theisen2016"},
         "load_recording": {"path": f"{files}/recording.h5"},
-        "load_table": {"path": f"{files}/table.h5"},
         "lpv_of": {"result": result},
         "maximise_damping": {
             "A_of_gains": ca.Function("A", [gain], [oscillator(gain)]),
@@ -229,8 +226,6 @@ def valid_calls() -> dict[str, dict[str, Any]]:
         "save": {"value": stored_values.recording(), "path": "{folder}/a.h5"},
         "save_controller": {"path": "{folder}/a.yaml", "controller": "P", "gains": gains, "sample_time": 2e-4},
         "save_csv": {"what": plant, "path": "{folder}/a.csv"},
-        "save_fit": {"result": result, "path": "{folder}/a.h5"},
-        "save_lpv_fit": {"fit": stored_values.lpv_fit(), "path": "{folder}/a.yaml"},
         "save_mat": {"what": plant, "path": "{folder}/a.mat"},
         "save_recording": {"rec": data, "path": "{folder}/a.h5"},
         "scheduled": {"structure": MODE, "scheduling": "speed_rpm", "order": 1},
@@ -287,13 +282,20 @@ def public_calls() -> list[WrongCall]:
     return package_calls() + [
         WrongCall(name, argument, value)
         for name, function in _public()
-        if "." not in name
-        for argument in dict.fromkeys([*(p.name for p in _named(function)), *valid_calls().get(name, {})])
+        if "." not in name or _arguments(name)
+        for argument in dict.fromkeys([*(p.name for p in _named(function)), *_arguments(name)])
         for value in wrong_values()
     ]
 
 
+def _arguments(name: str) -> dict[str, Any]:
+    """Return the arguments of the valid call of a name of gbid or of a package; empty without one."""
+    package, _, own = name.rpartition(".")
+    return {} if package and own in gbid.__all__ else valid_calls().get(own, {})
+
+
 def _named(function: Any) -> list[inspect.Parameter]:
+    """Return the parameters of a function that have a name."""
     return [p for p in _parameters(function) if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
 
 
@@ -302,7 +304,7 @@ def package_calls() -> list[WrongCall]:
     return [
         WrongCall(name, argument.name, value)
         for name, function in _public()
-        if "." in name
+        if "." in name and not _arguments(name)
         for argument in _parameters(function)
         if argument.default is argument.empty
         and argument.kind is argument.POSITIONAL_OR_KEYWORD
@@ -352,17 +354,14 @@ def try_call(call: WrongCall, folder: Path) -> str:
     package, _, name = call.name.rpartition(".")
     function = getattr(importlib.import_module(f"gbid.{package}" if package else "gbid"), name)
     value = wrong_values()[call.value]
-    if not package and name in valid_calls():
-        arguments = dict(valid_calls()[call.name])
-    else:
-        arguments = dict.fromkeys(
-            (
-                p.name
-                for p in _parameters(function)
-                if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
-            ),
-            value,
-        )
+    arguments = dict(_arguments(call.name)) or dict.fromkeys(
+        (
+            p.name
+            for p in _parameters(function)
+            if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
+        ),
+        value,
+    )
     arguments[call.argument] = value
     for key, each in arguments.items():
         if type(each) is str:
