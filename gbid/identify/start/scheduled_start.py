@@ -174,8 +174,6 @@ def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
 
 # ---- Fit of a structure with constant parameters to a part of a recording, for start values: estimates and variances.
 
-_OPTIONS = FitArguments(criterion="det", stop="paper", max_iterations=30)
-
 
 class PartFit(NamedTuple):
     """Estimates of the parameters by name, and their variances; zero for fixed ones."""
@@ -198,7 +196,7 @@ def fit_part(
     they only weight the estimates of several parts.
     """
     begin = begin_values(structure, parameters, part, intersample, given, from_data=False).values
-    options = replace(_OPTIONS, intersample=intersample, focus=focus)
+    options = FitArguments(criterion="det", stop="paper", max_iterations=30, intersample=intersample, focus=focus)
     assembly = assemble(structure, parameters, begin, part, options)
     problem, unknowns = build_problem(assembly, part, options, full_start(assembly, begin))
     solution = solve(problem, unknowns, options)

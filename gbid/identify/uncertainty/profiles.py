@@ -75,7 +75,6 @@ class WalkOptions:
 
 WALK = WalkOptions()
 _NEAR = 4  # points of a cubic interpolation
-_BY_IPOPT = FitArguments(max_iterations=50)
 
 
 class ConstrainedFit(NamedTuple):
@@ -259,7 +258,7 @@ class Profiler:
                     return ConstrainedFit(x, here, here.cost)
         except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
             pass
-        solution = solve(replace(problem, box=box), x, _BY_IPOPT)
+        solution = solve(replace(problem, box=box), x, FitArguments(max_iterations=50))
         here = problem.at(solution.unknowns)
         if problem.extra is not None and not problem.extra.violation(here.extra_rows) < WALK.feasible:
             return None
