@@ -33,7 +33,8 @@ def stated(monkeypatch, apart, rounding):
         n_states=1,
         n_samples=N,
         weight=lambda products: np.eye(1),
-        prior=SimpleNamespace(information=np.zeros(2)),
+        known=lambda _: SimpleNamespace(hessian=np.zeros((2, 2))),
+        likelihood_size=N,
         extra=None,
         parts=(SimpleNamespace(predictor=SimpleNamespace(feeds_back=False), blocks=SimpleNamespace(segments=())),),
     )

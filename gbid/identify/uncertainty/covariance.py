@@ -12,7 +12,7 @@ import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, oscillatory_modes, poles_of_samples
 from gbid.discretise.dual import Dual
-from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
+from gbid.identify.kernel.blocks import Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, by_segments, tied
 from gbid.identify.predictor import Predictor, PredictorValues, matrices_with_slopes
@@ -98,9 +98,8 @@ def grows(at: Estimate) -> bool:
     return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH)) or on_the_way > _GROWTH
 
 
-# ---- Information of records on parameters and initial states: Hessians of the cost and gradients of blocks.
+# ---- Information of records on parameters and initial states: Hessians of the cost.
 
-_BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
 _BLOCK = 64  # samples of a block of the pass
 _CLOSED = 1e-6  # largest gap of the windows, in units of the states' size, with which a pass is one over whole records
 
@@ -127,21 +126,6 @@ class Information(NamedTuple):
     shaped: FloatArray
     observed: FloatArray | None
     sensitivities: Sequence[RecordSensitivities]
-
-
-class RecordInformation(NamedTuple):
-    """Information of one record on its own parameters and then its initial state, for the cost ``sum e' W e / 2``.
-
-    Attributes
-    ----------
-    hessian : (m, m) array
-        Gauss-Newton Hessian.
-    scores : (n_blocks, m) array
-        Minus the gradient, for each block of consecutive samples.
-    """
-
-    hessian: FloatArray
-    scores: FloatArray
 
 
 def information_over_records(
@@ -219,56 +203,6 @@ def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) 
     totals = [_total(at, each, chains) for each in sums]
     totals[0] *= here.factor
     return Information(totals[0], totals[-1], None, ())
-
-
-def record_information(at: Estimate, weight: FloatArray) -> list[RecordInformation]:
-    """Return the information of each record on its own parameters, from one pass.
-
-    Parameters
-    ----------
-    at : Estimate
-        Estimates of a problem with one segment per record.
-    weight : (n_y, n_y) array
-        Weight W of the errors.
-
-    Returns
-    -------
-    list of RecordInformation
-        In the order of the records.
-    """
-    parts, information = list(at.parts()), []
-    for window in at.record_window:
-        k, i = at.segments[int(window)]
-        v, part, _ = parts[k]
-        segment = part.blocks.segments[i]
-        length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
-        blocks = cut([segment], part.predictor, None, longest_block=length)
-        (traced,) = part.kernel.trace(v, blocks, at.starts[window][None], [weight])
-        mixed = traced.sums.hessian_mixed[0]
-        hessian = np.block([[traced.sums.hessian, mixed], [mixed.T, traced.sums.hessian_start[0]]])
-        information.append(RecordInformation(hessian, -_scores(traced)))
-    return information
-
-
-def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
-    """Return the information on the kept parameters when all others are estimated, too (Schur complement)."""
-    H, scores = information
-    rest = np.setdiff1d(np.arange(len(H)), kept)
-    scale = 1 / np.sqrt(np.maximum(np.diag(H)[rest], 1e-300))
-    inner = H[np.ix_(rest, rest)] * np.outer(scale, scale)
-    onto = np.linalg.pinv(inner, rcond=1e-12, hermitian=True) @ (H[np.ix_(rest, kept)] * scale[:, None])
-    onto *= scale[:, None]
-    return RecordInformation(
-        H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ onto, scores[:, kept] - scores[:, rest] @ onto
-    )
-
-
-def _scores(traced: Traced) -> FloatArray:
-    """Return the gradient of each block by the parameters and the start of its window."""
-    live = slice(0, int(traced.linked.by_theta.shape[0]))
-    by_start = traced.by_block.gradient_start[live][:, None, :]
-    by_theta = traced.by_block.gradient[live] + (by_start @ traced.linked.by_theta)[:, 0]
-    return np.hstack([by_theta, (by_start @ traced.linked.by_start)[:, 0]])
 
 
 def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
@@ -824,30 +758,12 @@ def model_spreads(
         (A, B, C, D, _, B_delayed, _), slopes, dt = matrices_with_slopes(predictor, local)
         B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
     by_free = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in slopes))
-    if not (np.isfinite(local_covariance).all() and np.isfinite(A.value).all()):
-        return ModelSpreads(by_free, np.full((len(model.modes()), 2), np.nan), np.full(D.value.shape, np.nan))
-    return ModelSpreads(by_free, *spreads_of((A, B, C, D), local_covariance, dt))
-
-
-def spreads_of(
-    matrices: tuple[Dual, Dual, Dual, Dual], covariance: FloatArray, dt: float | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return standard deviations of the modes (n_modes, 2) and of the static gain (n_y, n_u), nan with a pole at zero.
-
-    Parameters
-    ----------
-    matrices : A, B, C, D
-        Matrices with their derivatives by the parameters, B of all inputs.
-    covariance : (n_free, n_free) array
-        Covariance of the parameters.
-    dt : float, optional
-        Sample time of a discrete model [s].
-    """
-    A, B, C, D = matrices
-    at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
     gain = np.full(D.value.shape, np.nan)
+    if not (np.isfinite(local_covariance).all() and np.isfinite(A.value).all()):
+        return ModelSpreads(by_free, np.full((len(model.modes()), 2), np.nan), gain)
+    at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
     if np.linalg.cond(at_rest.value) < 1e15:
         inverse = np.asarray(np.linalg.inv(at_rest.value), float)
         static_gain = D - C @ (Dual(inverse, -inverse @ at_rest.slope @ inverse) @ B)
-        gain = std_of(static_gain.slope, covariance)
-    return std_of(mode_slopes(A, dt)[1], covariance), gain
+        gain = std_of(static_gain.slope, local_covariance)
+    return ModelSpreads(by_free, std_of(mode_slopes(A, dt)[1], local_covariance), gain)
