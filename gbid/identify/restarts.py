@@ -39,7 +39,7 @@ from gbid.discretise.exact import discretise
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.judge import judge
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import FitTask, minimise, strongly_coloured
+from gbid.identify.pose import FitTask, PosedProblem, minimise, strongly_coloured
 from gbid.identify.problem.assemble import automatic_window
 from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
@@ -96,45 +96,49 @@ class Attempt:
 
     Attributes
     ----------
-    result : FitResult or None
-        The result; None when the start is unstable and was to be stable.
+    result : FitResult
+        The result.
     rate : float
-        Largest growth of the predictor in a sample, at the solution, or at the start when there is no result.
+        Largest growth of the predictor in a sample, at the solution.
     doubtful : bool
         Whether the residuals are so strongly correlated that this may be another minimum.
     """
 
-    result: FitResult | None
+    result: FitResult
     rate: float
-    doubtful: bool = False
-
-    def agrees(self, others: Sequence[Attempt]) -> bool:
-        """Return whether it converged, and one of the others at the same loss."""
-        losses = [a.result.loss for a in (self, *others) if a.result is not None and a.result.success]
-        converged = self.result is not None and self.result.success
-        return converged and any(abs(other - losses[0]) <= POLICY.lower * losses[0] for other in losses[1:])
+    doubtful: bool
 
     @property
-    def good(self) -> bool:
-        """Whether it converged, to no doubtful minimum, and estimated a free disturbance gain."""
-        result = self.result
-        return result is not None and result.success and not (self.doubtful or self.held)
+    def loss(self) -> float:
+        """Loss of the result; infinite where it has none."""
+        return self.result.loss if np.isfinite(self.result.loss) else np.inf
 
     @property
     def held(self) -> bool:
         """Whether a free disturbance gain was held, for it led to an almost unstable predictor."""
-        return self.result is not None and any(FitNote.GAIN_HELD.value in note for note in self.result.notes)
+        return any(FitNote.GAIN_HELD.value in note for note in self.result.notes)
+
+    @property
+    def good(self) -> bool:
+        """Whether it converged, to no doubtful minimum, and estimated a free disturbance gain."""
+        return self.result.success and not (self.doubtful or self.held)
+
+    def agrees(self, others: Sequence[Attempt]) -> bool:
+        """Return whether it converged, and one of the others at the same loss."""
+        losses = [other.loss for other in others if other.result.success]
+        return self.result.success and any(abs(loss - self.loss) <= POLICY.lower * self.loss for loss in losses)
 
     def noted(self, note: str) -> Attempt:
         """Return the attempt with one more note."""
-        if self.result is None:
-            return self
         return replace(self, result=self.result.noted(note))
 
 
-def grows(rate: float, n_samples: int) -> bool:
-    """Return whether a predictor that grows at this rate in a sample is unstable over so many samples."""
-    return not log(max(rate, 1e-300)) * n_samples <= log(POLICY.growth)
+def solved(problem: PosedProblem) -> Attempt:
+    """Return the attempt of a posed problem."""
+    optimum = minimise(problem)
+    result, shooting, unknowns = judge(optimum), optimum.shooting, optimum.solution.unknowns
+    doubtful = result.trusted != "white" and optimum.weighted is None and strongly_coloured(shooting, unknowns)
+    return Attempt(result, shooting.rate(*shooting.unpack(unknowns)), doubtful)
 
 
 def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
@@ -156,42 +160,41 @@ def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
 
 def best_attempt(task: FitTask) -> FitResult:
     """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others."""
-    restarts, stated, windows = Restarts(task), task.begin.values, windows_of(task)
+    ladder, stated, windows = Ladder(task), task.begin.values, windows_of(task)
     enough = task.data.records and task.options.max_iterations >= POLICY.enough_iterations
     may_restart = bool(enough) and ("data" not in task.begin.origin.values() or bool(task.begin.notes))
     nonlinear = kind_of(task.structure).nonlinear and may_restart
-    first = restarts.bounded(restarts.in_turn(stated, windows[:1] if nonlinear else windows))
-    result = first.result
-    if first.held:
-        may_restart = True
-    if result is not None and (first.good or not may_restart or result.status is FitStatus.NOT_DETERMINED):
-        return result
+    first = ladder.in_turn(stated, windows[:1] if nonlinear else windows)
+    attempts = [first] if first else []
+    if first:
+        final = first.good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
+        if final:
+            return first.result
     if nonlinear:
-        return _confirmed(restarts.in_other_windows(first))
-    attempts = [first]
+        return _confirmed(ladder.in_other_windows(attempts))
     if (start := observer_start(task)) is not None:
-        other = restarts.in_turn(start, windows)
-        if other.result is None:  # the plant itself is unstable
-            other = restarts.in_turn(start, windows_of(task, other.rate), unstable=True)
-        else:
-            other = restarts.bounded(other)
-        unstable = ", and the plant is unstable as well" if grows(other.rate, restarts.longest) else ""
-        why = f"the start values are unstable{unstable}: " if result is None else ""
+        other, unstable = ladder.in_turn(start, windows), ""
+        if other is None:  # the plant itself is unstable
+            other = ladder.in_turn(start, windows_of(task, ladder.rate(start)), unstable=True)
+        if other and ladder.grows(other.rate):
+            unstable = ", and the plant is unstable as well"
+        why = "" if first else f"the start values are unstable{unstable}: "
         text = f"{why}the fit began at values of a fit with a steady observer (Kalman filter)"
-        attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
-    shortened = windows_of(task, first.rate)
-    few = shortened[0] is None or task.data.n_samples / shortened[0] < POLICY.most_windows
-    if result is None and few and not any(attempt.good for attempt in attempts):
-        text = "the start values are unstable: shooting windows were bounded by their growth"
-        attempts.append(restarts.in_turn(stated, shortened, unstable=True).noted(FitNote.WINDOWS_CHANGED(text)))
-    if all(attempt.result is None for attempt in attempts):  # no observer, too many windows for the start itself
-        attempts.append(restarts.attempt(stated, windows[0], unstable=True))
+        attempts += [other.noted(FitNote.BEGUN_ELSEWHERE(text))] if other else []
+    if first is None and not any(attempt.good for attempt in attempts):
+        shortened = windows_of(task, ladder.rate(stated))
+        if shortened[0] is None or task.data.n_samples / shortened[0] < POLICY.most_windows:
+            text = "the start values are unstable: shooting windows were bounded by their growth"
+            other = ladder.in_turn(stated, shortened, unstable=True)
+            attempts += [other.noted(FitNote.WINDOWS_CHANGED(text))] if other else []
+    if not attempts:  # no observer, too many windows for the start itself
+        attempts.append(solved(task.problem(stated, windows[0])))
     return _lowest(attempts)
 
 
 @dataclass(frozen=True, eq=False)
-class Restarts:
-    """Attempts at the fit of a task."""
+class Ladder:
+    """Attempts at the fit of a task, one rung after the other."""
 
     task: FitTask
 
@@ -200,115 +203,106 @@ class Restarts:
         """Number of samples in the longest record."""
         return max((record.n_samples for record in self.task.data.records), default=0)
 
-    def attempt(
-        self, start: Mapping[str, float], window: int | None, *, gain_held: bool = False, unstable: bool = False
-    ) -> Attempt:
-        """Return a fit from start values in windows of this many samples; without `unstable` an unstable start is left.
+    def grows(self, rate: float, most: float = POLICY.growth, samples: int | None = None) -> bool:
+        """Return whether a predictor that grows at this rate in a sample is unstable over a record, or `samples`."""
+        return not log(max(rate, 1e-300)) * (self.longest if samples is None else samples) <= log(most)
 
-        `gain_held` fixes the disturbance gain.
+    def rate(self, start: Mapping[str, float]) -> float:
+        """Return the largest growth of the predictor in a sample, at start values."""
+        return _rate(self.task.problem(start, windows_of(self.task)[0]))
+
+    def in_turn(
+        self, start: Mapping[str, float], windows: Sequence[int | None], *, unstable: bool = False
+    ) -> Attempt | None:
+        """Return the first attempt in windows of these lengths that converges, else that with the smallest loss.
+
+        A solution that runs away is solved again in windows that bound its growth. None for an unstable start, but with
+        `unstable`, where its windows are so short already.
         """
-        problem = self.task.problem(start, window, gain_held=gain_held)
-        rate = problem.shooting.rate(*problem.shooting.unpack(problem.unknowns))
-        if grows(rate, self.longest) and not unstable:
-            return Attempt(None, rate)
-        optimum = minimise(problem)
-        result = judge(optimum)
-        unknowns = optimum.solution.unknowns
-        doubtful = result.trusted != "white" and optimum.weighted is None
-        doubtful = doubtful and strongly_coloured(optimum.shooting, unknowns)
-        return Attempt(result, optimum.shooting.rate(*optimum.shooting.unpack(unknowns)), doubtful)
-
-    def in_turn(self, start: Mapping[str, float], windows: Sequence[int | None], *, unstable: bool = False) -> Attempt:
-        """Return the first attempt in windows of these lengths that converges, else that with the smallest loss."""
-        tried: list[tuple[Attempt, FitResult]] = []
+        tried = list[Attempt]()
         for window in windows:
-            attempt = self.attempt(start, window, unstable=unstable)
-            if attempt.result is None:
-                return attempt
-            tried.append((attempt, attempt.result))
-            if attempt.result.success or attempt.result.status is FitStatus.SHAFT_AS_MODE:
+            problem = self.task.problem(start, window)
+            if not unstable and self.grows(_rate(problem)):
+                return None
+            tried.append(solved(problem))
+            status = tried[-1].result.status
+            if status.success or status is FitStatus.SHAFT_AS_MODE:
                 break
-            if attempt.result.status is FitStatus.UNSTABLE_PREDICTOR and len(windows) > 1:
-                held = self.attempt(start, window, gain_held=True, unstable=True)
-                if held.result is None:
-                    return attempt
-                status = _status_with_gain_held(held.result)
-                note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
-                return replace(held, result=held.result.changed(status=status)).noted(FitNote.GAIN_HELD(note))
-        best, result = tried[-1]
-        if not result.success:
-            best, result = min(tried, key=lambda pair: pair[1].loss if np.isfinite(pair[1].loss) else np.inf)
-        others = ", ".join(str(r.options.window) for _, r in tried if r is not result)
-        text = f"windows of {others} samples did not converge; this is the result with {result.options.window}"
-        return best.noted(FitNote.WINDOWS_CHANGED(text)) if others else best
+            if status is FitStatus.UNSTABLE_PREDICTOR and len(windows) > 1:
+                return self._bounded(self._with_gain_held(start, window), unstable=unstable)
+        best = tried[-1] if tried[-1].result.success else min(tried, key=lambda attempt: attempt.loss)
+        others = ", ".join(str(each.result.options.window) for each in tried if each is not best)
+        text = f"windows of {others} samples did not converge; this is the result with {best.result.options.window}"
+        return self._bounded(best.noted(FitNote.WINDOWS_CHANGED(text)) if others else best, unstable=unstable)
 
-    def bounded(self, attempt: Attempt) -> Attempt:
+    def _with_gain_held(self, start: Mapping[str, float], window: int | None) -> Attempt:
+        """Return the attempt with the disturbance gain at its start value, where a free one had to be held.
+
+        With another gain its estimates would be others, unless the recordings show that disturbances do not move a
+        mode: then it is no success.
+        """
+        held = solved(self.task.problem(start, window, gain_held=True))
+        if held.result.success:
+            hidden = any(FitNote.MAY_COVER_LESS.value in note for note in held.result.notes)
+            status = FitStatus.GAIN_NOT_DETERMINED if hidden else FitStatus.CONVERGED_GAIN_HELD
+            held = replace(held, result=held.result.changed(status=status))
+        note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
+        return held.noted(FitNote.GAIN_HELD(note))
+
+    def _bounded(self, attempt: Attempt, *, unstable: bool) -> Attempt:
         """Return a fit from a solution that runs away, in windows that bound its growth; else the solution.
 
         The plant is unstable then, or a part of it went astray.
         """
         result, rate = attempt.result, attempt.rate
-        if result is None or not grows(rate, self.longest):
+        if unstable or self.task.options.window != "auto" or not np.isfinite(rate):
             return attempt
-        if self.task.options.window != "auto" or not np.isfinite(rate):
-            return attempt
-        length = self.longest if result.options.window is None else result.options.window
-        if log(rate) * length <= log(POLICY.runaway):
+        if not (self.grows(rate) and self.grows(rate, POLICY.runaway, result.options.window)):
             return attempt
         estimates = {name: v for name, v in result.parameters.items() if "[" not in name}
-        again = self.attempt({**result.start, **estimates}, windows_of(self.task, rate)[0], unstable=True)
-        if again.result is None or not (again.result.success or again.result.loss < result.loss):
+        again = solved(self.task.problem({**result.start, **estimates}, windows_of(self.task, rate)[0]))
+        if not (again.result.success or again.result.loss < result.loss):
             return attempt
         text = "the model is unstable: shooting windows were bounded by its growth"
         return again.noted(FitNote.WINDOWS_CHANGED(text))
 
-    def in_other_windows(self, first: Attempt) -> list[Attempt]:
-        """Return the first attempt and more of a nonlinear structure, until one is good or agrees with another."""
-        task, attempts, chosen = self.task, [first], self.task.options.window
+    def in_other_windows(self, attempts: list[Attempt]) -> list[Attempt]:
+        """Return more attempts at a nonlinear structure, until one is good or agrees with another."""
+        task, chosen = self.task, self.task.options.window
         states = kind_of(task.structure).anatomy().n_states
         for length in POLICY.apart:
             window = max(length, task.data.n_samples * states // POLICY.most_states)
             try:
                 start = start_in_windows(task, window)
-                other = self.attempt(start, window if chosen == "auto" else chosen, unstable=True)
+                other = solved(task.problem(start, window if chosen == "auto" else chosen))
             except GbidError:  # the equations may have no value there, or be stiff
                 continue
             text = f"the fit began at values of a fit in windows of {window} samples with open gaps"
-            attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
+            attempts = [*attempts, other.noted(FitNote.BEGUN_ELSEWHERE(text))]
             if other.good or other.agrees(attempts[:-1]):
                 return attempts
         if chosen == "auto":
             text = "windows of other lengths did not converge to what is believed; this is the result with one"
-            one = self.attempt(task.begin.values, None, unstable=True)
-            attempts.append(one.noted(FitNote.WINDOWS_CHANGED(text)))
-        elif all(attempt.result is None for attempt in attempts):
-            attempts.append(self.attempt(task.begin.values, chosen, unstable=True))
-        return attempts
+            return [*attempts, solved(task.problem(task.begin.values, None)).noted(FitNote.WINDOWS_CHANGED(text))]
+        return attempts or [solved(task.problem(task.begin.values, chosen))]
 
 
-def _status_with_gain_held(result: FitResult) -> FitStatus:
-    """Return the status of a fit whose disturbance gain was to be estimated, but had to be held.
-
-    With another gain its estimates would be others, unless the recordings show that disturbances do not move a mode.
-    """
-    if not result.success:
-        return result.status
-    hidden = any(FitNote.MAY_COVER_LESS.value in note for note in result.notes)
-    return FitStatus.GAIN_NOT_DETERMINED if hidden else FitStatus.CONVERGED_GAIN_HELD
+def _rate(problem: PosedProblem) -> float:
+    """Return the largest growth of the predictor in a sample, at the start of a problem."""
+    return problem.shooting.rate(*problem.shooting.unpack(problem.unknowns))
 
 
 def _confirmed(attempts: Sequence[Attempt]) -> FitResult:
     """Return the result of lowest loss of nonlinear attempts, a success where it is good or another one agrees."""
-    pairs = [(attempt, attempt.result) for attempt in attempts if attempt.result is not None]
-    least = min((result.loss for _, result in pairs if np.isfinite(result.loss)), default=np.inf)
-    low = [pair for pair in pairs if not pair[1].loss > least * (1 + POLICY.lower)] or pairs
-    converged = [pair for pair in low if pair[1].success]
-    best, result = min(converged or low, key=lambda pair: round(pair[1].loss / least, 6))  # of equals the first
-    if not result.success or best.good:
-        return result
-    if not best.agrees([attempt for attempt, _ in pairs if attempt is not best]):
-        return result.changed(status=FitStatus.WINDOWS_DISAGREE)
-    return result.noted(FitNote.OTHER_MINIMUM(_DOUBTFUL))
+    least = min(attempt.loss for attempt in attempts)
+    low = [each for each in attempts if not each.result.loss > least * (1 + POLICY.lower)]
+    converged = [each for each in low if each.result.success]
+    best = min(converged or low, key=lambda each: round(each.result.loss / least, 6))  # of equals the first
+    if not best.result.success or best.good:
+        return best.result
+    if not best.agrees([each for each in attempts if each is not best]):
+        return best.result.changed(status=FitStatus.WINDOWS_DISAGREE)
+    return best.result.noted(FitNote.OTHER_MINIMUM(_DOUBTFUL))
 
 
 _DOUBTFUL = (
@@ -319,21 +313,19 @@ _DOUBTFUL = (
 
 def _lowest(attempts: Sequence[Attempt]) -> FitResult:
     """Return the lowest result of those that converged, else the lowest; notes tell of one that is lower still."""
-    pairs = [(attempt, attempt.result) for attempt in attempts if attempt.result is not None]
-    finite = [(attempt, r) for attempt, r in pairs if np.isfinite(r.loss)] or pairs
-    lowest = min(finite, key=lambda pair: pair[1].loss)
-    converged = [pair for pair in finite if pair[1].success]
-    best, result = min(converged, key=lambda pair: pair[1].loss) if converged else lowest
+    finite = [each for each in attempts if np.isfinite(each.loss)] or attempts
+    lowest = min(finite, key=lambda each: each.loss)
+    best = min((each for each in finite if each.result.success), key=lambda each: each.loss, default=lowest)
     notes = list[str]()
-    if result.loss > lowest[1].loss + POLICY.lower * abs(lowest[1].loss):
-        text = f"another attempt ended lower, at a loss of {lowest[1].loss:.6g}, but did not converge"
+    if best.loss > lowest.loss + POLICY.lower * abs(lowest.loss):
+        text = f"another attempt ended lower, at a loss of {lowest.loss:.6g}, but did not converge"
         notes.append(FitNote.OTHER_MINIMUM(text))
-    if result.success and any(other.status is FitStatus.SHAFT_AS_MODE for _, other in pairs):
+    if best.result.success and any(each.result.status is FitStatus.SHAFT_AS_MODE for each in attempts):
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes.append(FitNote.SHAFT(text))
-    if result.success and best.doubtful:
+    if best.result.success and best.doubtful:
         notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
-    return result.noted(*notes)
+    return best.result.noted(*notes)
 
 
 # ---- Start of a nonlinear fit from windows with open gaps.
