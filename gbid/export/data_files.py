@@ -17,7 +17,8 @@ from gbid.core.files import atomic_path
 from gbid.core.names import given_path
 from gbid.identify import FrequencyData
 from gbid.recording import Recording
-from gbid.recording.universal import SPREAD, UNIVERSAL_ENDINGS
+from gbid.recording.formats import UNIVERSAL
+from gbid.recording.readers import SPREAD
 
 
 def save_data(
@@ -55,7 +56,7 @@ def save_data(
     Universal files have the values with twelve digits, but sample times and frequencies with six.
     """
     path = given_path(path)
-    writers: dict[str, Callable[[Any, Path], None]] = dict.fromkeys(UNIVERSAL_ENDINGS, _write_universal)
+    writers: dict[str, Callable[[Any, Path], None]] = dict.fromkeys(UNIVERSAL.endings, _write_universal)
     if isinstance(what, Recording):
         writers |= {".parquet": _write_parquet, ".mf4": lambda recording, part: _write_mdf([recording], part)}
     elif not isinstance(what, FrequencyData):

@@ -19,8 +19,9 @@ from gbid.core.option_types import checks_arguments
 from gbid.core.tables import Column, Table
 from gbid.identify.uncertainty.curves import ChannelCurves
 from gbid.recording.columns import name_and_unit
+from gbid.recording.formats import format_of_ending
+from gbid.recording.readers import PairResponse
 from gbid.recording.text_files import read_text
-from gbid.recording.universal import UNIVERSAL_ENDINGS, PairResponse, read_responses
 from gbid.structure.linear import as_names
 
 
@@ -179,9 +180,9 @@ class FrequencyData(ChannelCurves, Pictured):
             When neither the file nor the caller gives standard deviations.
         """
         path = Path(path)
-        is_universal = path.suffix.lower() in UNIVERSAL_ENDINGS
+        responses = getattr(format_of_ending(path.suffix.lower()), "responses", None)
         try:
-            pairs, coherent = read_responses(path) if is_universal else _of_csv(path, std is None)
+            pairs, coherent = responses(path) if responses else _of_csv(path, std is None)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
         except DataError:

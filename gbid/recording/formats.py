@@ -41,7 +41,7 @@ from gbid.recording.readers import (
     with_values,
 )
 from gbid.recording.text_files import TextTable, holds_text, is_large, read_rows, read_table
-from gbid.recording.universal import UNIVERSAL_ENDINGS, open_universal
+from gbid.recording.universal import open_universal, read_responses
 
 
 def format_of(path: Path) -> FileFormat | None:
@@ -812,4 +812,7 @@ WAV = array_format((".wav",), "WAV file", open_wav, states_sample_time=True)
 
 # ---- Universal files of modal analysis, by pyuff.
 
-UNIVERSAL = array_format(UNIVERSAL_ENDINGS, "universal file", open_universal, states_sample_time=True)
+UNIVERSAL = replace(
+    array_format((".uff", ".unv", ".uf"), "universal file", open_universal, states_sample_time=True),
+    responses=read_responses,
+)

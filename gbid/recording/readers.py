@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import in_one_line
 from gbid.recording.clock import MAX_RESAMPLED, even_step, jitter_ppm
@@ -53,6 +53,27 @@ class FileChannel:
     first: tuple[float, ...] = ()
 
 
+class PairResponse(NamedTuple):
+    """Frequency response from one input to one output.
+
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+        Frequencies [Hz].
+    values : (n,) complex array
+        The response.
+    quality : (n,) array or None
+        Standard deviation or coherence.
+    """
+
+    frequency_hz: FloatArray
+    values: ComplexArray
+    quality: FloatArray | None
+
+
+SPREAD = "standard deviation of the real part, and of the imaginary part"
+"""First line of a function with the standard deviations of a frequency response: the format has no type for them."""
+
 Reader = Callable[..., dict[str, FileColumn]]
 """From a file (pathlib.Path) and references to columns (sequence of str) to these columns. The reader of a text format
 takes `TextOptions` as a third argument."""
@@ -83,6 +104,9 @@ class FileFormat:
     layout : callable, optional
         For text formats: from the path to the layout of the table, as plain values for the listing. The functions of
         such a format take `TextOptions` as their last argument.
+    responses : callable, optional
+        For formats of frequency responses: from the path to a `PairResponse` by output and input, and whether their
+        quality is the coherence. Raises DataError.
     """
 
     endings: tuple[str, ...]
@@ -93,6 +117,7 @@ class FileFormat:
     may_crash: bool = False
     takes_part: bool = False
     layout: Callable[..., dict[str, Any]] | None = None
+    responses: Callable[[Path], tuple[dict[tuple[str, str], PairResponse], bool]] | None = None
 
 
 # ---- Channels of a stored array, for the listing of a file.

@@ -13,38 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.columns import numbered_twins
 from gbid.recording.mapping import FilePart
-from gbid.recording.readers import ALL, OpenFile, StoredArray, rows_of
-
-UNIVERSAL_ENDINGS = (".uff", ".unv", ".uf")
-SPREAD = "standard deviation of the real part, and of the imaginary part"
-"""First line of a function with the standard deviations of a frequency response: the format has no type for them."""
+from gbid.recording.readers import ALL, SPREAD, OpenFile, PairResponse, StoredArray, rows_of
 
 _TIME, _RESPONSES, _COHERENCE = 1, (4, 5), 6  # types of functions: of time; FRF and transmissibility; coherence
 _OVER_TIME = 17  # what the abscissa is
 _AXES = ("", "x", "y", "z", "rx", "ry", "rz")
-
-
-class PairResponse(NamedTuple):
-    """Frequency response from one input to one output.
-
-    Attributes
-    ----------
-    frequency_hz : (n,) array
-        Frequencies [Hz].
-    values : (n,) complex array
-        The response.
-    quality : (n,) array or None
-        Standard deviation or coherence.
-    """
-
-    frequency_hz: FloatArray
-    values: ComplexArray
-    quality: FloatArray | None
 
 
 _MARK = re.compile(rb"    -1 *(?=\r?\n|\r?\Z)")  # before and after each set

@@ -195,5 +195,9 @@ def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
             import_recording(path, mapping)
     elif kind != "feather":
         several = {"s": {"columns": ["p", "short"], "unit": "V"}}
+        wanted = {**mapping, "signals": several, "samples": [0, 10]}
+        if kind in ("mf4", "uff", "unv"):  # they state clocks, by which columns are aligned
+            assert import_recording(path, wanted).n_samples == 10
+            return
         with pytest.raises(DataError, match="different numbers of samples: p 500, short 400"):
-            import_recording(path, {**mapping, "signals": several, "samples": [0, 10]})
+            import_recording(path, wanted)
