@@ -30,15 +30,60 @@ from gbid.identify.uncertainty.coloured import (
 )
 from gbid.identify.uncertainty.covariance import Estimate, grows, information_over_records, mode_slopes
 
-_AT_REST = 1e-3  # length of a step that is nothing, in standard deviations
-_SETTLED = 1e-2  # the same for a round with a new model of the errors
-_REST = 0.1  # length up to which a point from which no step leads lower counts as the minimum
-_APART = 3.0  # distance of two minima, in standard deviations
-_LIKELY = 3.0  # difference of log-likelihoods up to which data do not tell two minima apart: odds of 20 to 1
-_ROUNDS = 30  # models of the errors
-_FREE_ORDERS = 5  # rounds in which the order is chosen anew: later it may go back and forth between two
-_HALVINGS = 12
-_FLAT = 1e-13  # curvature of an undetermined direction, as a part of the largest
+
+@dataclass(frozen=True)
+class Weighting:
+    """Limits of the descents and of the scan along the frequencies of modes; lengths are in standard deviations.
+
+    Attributes
+    ----------
+    at_rest : float
+        Length of a step that is nothing.
+    settled : float
+        The same for a round with a new model of the errors.
+    rest : float
+        Length up to which a point from which no step leads lower counts as the minimum.
+    apart : float
+        Distance of two minima.
+    likely : float
+        Difference of log-likelihoods up to which data do not tell two minima apart: odds of 20 to 1.
+    rounds : int
+        Models of the errors.
+    free_orders : int
+        Rounds in which the order is chosen anew: later it may go back and forth between two.
+    halvings : int
+        Halvings of a step that does not lead lower.
+    flat : float
+        Curvature of an undetermined direction, as a part of the largest.
+    light : float
+        Damping factor below which a mode is so narrow that noise has lines like it.
+    cells : int
+        Frequencies that the recordings tell apart, 1 / T from each other, to each side of a mode.
+    beside : tuple
+        Of these, the ones at which the mode explains nothing but noise.
+    held : float
+        Information on what is held, in units of that of the data.
+    most_modes : int
+        Modes that are scanned: recordings with local parameters have modes of their own.
+    """
+
+    at_rest: float = 1e-3
+    settled: float = 1e-2
+    rest: float = 0.1
+    apart: float = 3.0
+    likely: float = 3.0
+    rounds: int = 30
+    free_orders: int = 5
+    halvings: int = 12
+    flat: float = 1e-13
+    light: float = 0.1
+    cells: int = 16
+    beside: tuple[int, ...] = (2, 3)
+    held: float = 1e6
+    most_modes: int = 8
+
+
+WEIGHTING = Weighting()
 
 
 class WeightedErrors(NamedTuple):
@@ -115,7 +160,7 @@ class WeightedProblem:
 
     def is_elsewhere(self, z: FloatArray, minimum: _Descended) -> bool:
         """Return whether a point is far from a minimum."""
-        return not minimum.status.success or bool(_distance(minimum, z, self.shooting.n_theta).max() > _APART)
+        return not minimum.status.success or bool(_distance(minimum, z, self.shooting.n_theta).max() > WEIGHTING.apart)
 
     def filters(self, at: Estimate, C: FloatArray, orders: Sequence[int] | None = None) -> tuple[Whitening, ...]:
         """Return the filters that the residuals at a point give, with what the fit took from them given back.
@@ -207,7 +252,7 @@ def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArr
         points.append(minimum)
         minimum = _likelier(_descend(task, begin), minimum, chance)
     if minimum.status.success:
-        scanned = _scanned(task, minimum, chance + _LIKELY)
+        scanned = _scanned(task, minimum, chance + WEIGHTING.likely)
         points += scanned
         top = max(scanned, key=lambda point: point.score, default=minimum)
         if top.score > minimum.score and task.is_elsewhere(top.z, minimum):
@@ -249,7 +294,7 @@ def _elsewhere(
     rows = np.sqrt(likely / likely.sum())[1:, None] * np.array([point.z[:n] - minimum.z[:n] for point in points])
     best = max(points, key=lambda point: point.score)
     apart, gain = _distance(minimum, best.z, n), minimum.score - best.score
-    if gain > _LIKELY:
+    if gain > WEIGHTING.likely:
         return rows, ()
     worst = int(np.argmax(apart))
     text = (
@@ -261,12 +306,6 @@ def _elsewhere(
 
 
 # ---- Scan of the likelihood along the frequencies of light modes.
-
-_LIGHT = 0.1  # damping factor below which a mode is so narrow that noise has lines like it
-_CELLS = 16  # frequencies that the recordings tell apart, 1 / T from each other, to each side of a mode
-_BESIDE = 2, 3  # of these, at which the mode explains nothing but noise
-_HELD = 1e6  # information on what is held, in units of that of the data
-_MOST_MODES = 8  # that are scanned: recordings with local parameters have modes of their own
 
 
 class _Point(NamedTuple):
@@ -294,10 +333,13 @@ def _scanned(task: WeightedProblem, minimum: _Descended, enough: float) -> list[
         return []
     half = 0.5 / max(len(segment.outputs) for part in task.shooting.parts for segment in part.blocks.segments)
     tops = list[_Point]()
-    for mode in _light_modes(task, minimum.z)[:_MOST_MODES]:
+    for mode in _light_modes(task, minimum.z)[: WEIGHTING.most_modes]:
         below, above = (_along(task, minimum.z, mode.frequency, side * half) for side in (-1, 1))
         beside = [
-            _with_modes_held(task, side[2 * i - 1]) for side in (below, above) for i in _BESIDE if len(side) >= 2 * i
+            _with_modes_held(task, side[2 * i - 1])
+            for side in (below, above)
+            for i in WEIGHTING.beside
+            if len(side) >= 2 * i
         ]
         if max((point.score for point in beside), default=-np.inf) < minimum.score - enough:
             continue
@@ -312,7 +354,7 @@ def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) 
     lower, upper = task.bounds
     n, points = task.shooting.n_theta, list[FloatArray]()
     size = task.shooting.theta_scale**2
-    for _ in range(2 * _CELLS):
+    for _ in range(2 * WEIGHTING.cells):
         modes = _light_modes(task, z)
         if not modes:
             break
@@ -336,7 +378,7 @@ def _light_modes(task: WeightedProblem, z: FloatArray) -> list[_Mode]:
         modes, slopes = mode_slopes(Dual(v.F, v.dF), 1.0)
         modes_of[id(v)] = []
         for (frequency, damping), slope in zip(modes.tolist(), slopes.transpose(1, 0, 2), strict=True):
-            if 0 < damping < _LIGHT:
+            if 0 < damping < WEIGHTING.light:
                 every = np.zeros((problem.n_theta, 2))
                 every[part.index] = slope if part.tie is None else part.tie.T @ slope
                 modes_of[id(v)].append(_Mode(frequency, every))
@@ -358,7 +400,7 @@ def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:
             score = _score(normal, filters)
             break
         C = _inverse(normal.hessian)
-        weight = _HELD / np.maximum(np.einsum("im,ij,jm->m", held, C, held), np.finfo(float).tiny)
+        weight = WEIGHTING.held / np.maximum(np.einsum("im,ij,jm->m", held, C, held), np.finfo(float).tiny)
         z = z + _step(task, z, normal._replace(hessian=normal.hessian + held * weight @ held.T))[0]
     return _Point(score, z)
 
@@ -384,22 +426,22 @@ def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
     iterations = 0
     C, status, rest = np.zeros((len(z), len(z))), FitStatus.ITERATION_LIMIT, np.inf
     filters, normal = tuple[Whitening, ...](), None
-    for turn in range(_ROUNDS):
+    for turn in range(WEIGHTING.rounds):
         at = task.estimate(z)
         if grows(at):
             return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
         filters = task.filters(at, C, orders)
-        orders = [each.model.order for each in filters] if turn >= _FREE_ORDERS else None
+        orders = [each.model.order for each in filters] if turn >= WEIGHTING.free_orders else None
         before, normal = z, _normal(task, z, filters)
         if normal is None:
             return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
         while iterations < task.options.max_iterations:
             step, rest = _step(task, z, normal)
-            if rest < _AT_REST:
+            if rest < WEIGHTING.at_rest:
                 break
             lower = _lower(task, z, step, normal, filters)
             if lower is None:
-                if rest > _REST:
+                if rest > WEIGHTING.rest:
                     return _Descended(z, filters, normal, FitStatus.STEPS_TOO_SMALL, iterations, rest)
                 break
             (z, normal), iterations = lower, iterations + 1
@@ -410,7 +452,7 @@ def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
             break
         C = _inverse(normal.hessian)
         moved = z - before
-        if turn and _length(moved, normal) < _SETTLED:
+        if turn and _length(moved, normal) < WEIGHTING.settled:
             status = FitStatus.CONVERGED
             break
     assert normal is not None
@@ -462,7 +504,7 @@ def _axes(hessian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return eigenvalues and eigenvectors of the Hessian in units of its diagonal, without flat directions."""
     unit = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(hessian / np.outer(unit, unit))
-    curved = values > _FLAT * values[-1]
+    curved = values > WEIGHTING.flat * values[-1]
     return values[curved], vectors[:, curved], unit
 
 
@@ -497,7 +539,7 @@ def _lower(
     task: WeightedProblem, z: FloatArray, step: FloatArray, normal: _Normal, filters: tuple[Whitening, ...]
 ) -> tuple[FloatArray, _Normal] | None:
     """Return the first point along a step, halved again and again, that has a lower cost; None without one."""
-    for halving in range(_HALVINGS):
+    for halving in range(WEIGHTING.halvings):
         point = z + step / 2**halving
         tried = _normal(task, point, filters)
         if tried is not None and tried.cost < normal.cost:

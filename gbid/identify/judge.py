@@ -19,7 +19,7 @@ from gbid.identify.data_notes import data_notes
 from gbid.identify.frequency_fit import ResponseResiduals
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
-from gbid.identify.problem.integration import TOLERATED, at_working_point
+from gbid.identify.problem.integration import REFINING, at_working_point
 from gbid.identify.problem.nlp import extra_notes
 from gbid.identify.problem.solve import TOLERANCES, forces_of_bounds
 from gbid.identify.problem.states import decay_notes, released_states
@@ -828,7 +828,9 @@ def integration(judged: Judged) -> Iterator[str]:
     shift = judged.integration_shift
     if shift is None or not judged.status.success:
         return
-    moved = [f"{q} by {abs(off):.2g}" for q, off in zip(judged.free, shift, strict=True) if abs(off) > TOLERATED]
+    moved = [
+        f"{q} by {abs(off):.2g}" for q, off in zip(judged.free, shift, strict=True) if abs(off) > REFINING.tolerated
+    ]
     if not moved:
         return
     task, moved_ones = judged.optimum.problem.task, ", ".join(moved)

@@ -30,7 +30,7 @@ from gbid.identify.problem.assemble import (
     with_extra_terms,
 )
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
-from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, Refinement, integrated_finely, refinement
+from gbid.identify.problem.integration import REFINING, Refinement, integrated_finely, refinement
 from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
@@ -328,6 +328,55 @@ class Optimum:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Search:
+    """Limits of what follows a first solution: other minima, finer pieces, missing outputs, gaps.
+
+    Attributes
+    ----------
+    wide : float
+        Part of a response that counts as its error at first: far from a resonance its slopes lead nowhere.
+    gain_rounds : int
+        Rounds of gains and variances after missing outputs.
+    settled : float
+        Relative change of the covariance of the innovations that is rest: that of its own estimate is far larger.
+    most_slopes : int
+        Pieces times parameters of one, which set the time of a pass; `piece_s` may ask for more.
+    most_cuts : int
+        Parts of a piece at once: the error of long pieces is of no order yet.
+    piece_order : int
+        Order of the error in the length of a piece: the mean of a straight course is exact to first order.
+    same_loss : float
+        Relative difference of losses below which the windows do not matter.
+    no_gap : float
+        Gap, of the states' size, that is none: the solver's tolerance.
+    same_cost : float
+        Difference of costs that is rounding, where a fit begins at its solution.
+    strongly : float
+        Correlation of neighbouring errors at which a minimum may not be the lowest.
+    most_gains : int
+        Gains of the grid: 16 combinations of signs.
+    gain_starts : int
+        Starts from another gain.
+    """
+
+    wide: float = 0.3
+    gain_rounds: int = 60
+    settled: float = 1e-3
+    most_slopes: int = 1000
+    most_cuts: int = 8
+    piece_order: int = 2
+    same_loss: float = 1e-3
+    no_gap: float = 1e-6
+    same_cost: float = 1e-9
+    strongly: float = 0.5
+    most_gains: int = 4
+    gain_starts: int = 3
+
+
+SEARCH = Search()
+
+
 def minimise(problem: PosedProblem) -> Optimum:
     """Return the optimum of a posed problem.
 
@@ -342,7 +391,7 @@ def minimise(problem: PosedProblem) -> Optimum:
 
     def is_coarse(unknowns: FloatArray) -> bool:
         ahead.append(refinement(problem.shooting, unknowns))
-        return ahead[0].off > TOLERATED
+        return ahead[0].off > REFINING.tolerated
 
     predictor, ahead = problem.shooting.groups[0].predictor, list[Refinement]()
     adapts = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
@@ -351,7 +400,7 @@ def minimise(problem: PosedProblem) -> Optimum:
         start = _nearer(problem.shooting, start)
     solution = solve(problem.shooting, start, task.options, is_coarse if adapts else None)
     first = solution.history[0].cost if solution.history else np.nan
-    for _ in range(_ROUNDS):
+    for _ in range(SEARCH.gain_starts):
         better = lower_elsewhere(problem.shooting, solution.unknowns) if solution.status.success else None
         if better is None:
             break
@@ -385,20 +434,14 @@ def minimise(problem: PosedProblem) -> Optimum:
     return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
 
 
-_FAR = 0.3  # part of a response that counts as its error at first: far from a resonance its slopes lead nowhere
-
-
 def _nearer(shooting: Shooting, start: FloatArray) -> FloatArray:
     """Return the start of a fit to responses, or the solution with wide errors, whichever has the lower cost."""
-    wide = replace(shooting, responses=tuple(replace(each, relative=_FAR) for each in shooting.responses))
+    wide = replace(shooting, responses=tuple(replace(each, relative=SEARCH.wide) for each in shooting.responses))
     points = start, solve(wide, start).unknowns
     return min(points, key=lambda unknowns: shooting.at(unknowns).cost)
 
 
 # ---- Missing outputs: gains and variances after gaps, in rounds.
-
-_GAIN_ROUNDS = 60
-_SETTLED = 1e-3  # largest relative change of the covariance of the innovations: that of its own estimate is far larger
 
 
 def _with_kalman_gains(
@@ -419,7 +462,7 @@ def _with_kalman_gains(
     if not any(map(changes, shooting.parts)):
         return shooting, solution
     innovation = np.full((len(shooting.output_weights),) * 2, np.inf)
-    for _ in range(_GAIN_ROUNDS):
+    for _ in range(SEARCH.gain_rounds):
         theta, starts = shooting.unpack(solution.unknowns)
         values = shooting.values(theta)
         before = innovation
@@ -433,7 +476,7 @@ def _with_kalman_gains(
         shooting = replace(shooting, parts=parts)
         following = run(solution.unknowns, shooting)
         solution, at_rest = following.after(solution, shooting)
-        settled = np.abs(innovation - before).max() <= _SETTLED * np.abs(innovation).max()
+        settled = np.abs(innovation - before).max() <= SEARCH.settled * np.abs(innovation).max()
         if (at_rest and settled) or not following.status.success:
             return shooting, solution
     return shooting, replace(solution, status=FitStatus.ITERATION_LIMIT)
@@ -442,10 +485,6 @@ def _with_kalman_gains(
 # ---- Pieces of a course with constant parameters, as short as the estimates need.
 #
 # The pieces are the steps of an integrator, and its criterion holds for them (`gbid.identify.problem.integration`).
-
-_MOST_SLOPES = 1000  # pieces times parameters of one, which set the time of a pass; `piece_s` may ask for more
-_MOST_CUTS = 8  # parts of a piece at once: the error of long pieces is of no order yet
-_ORDER = 2  # of the error in the length of a piece: the mean of a straight course is exact to first order
 
 
 def _cut_finely(
@@ -461,14 +500,17 @@ def _cut_finely(
         How far the estimates move when pieces are halved; None where no course changes.
     """
     shift = None
-    for remaining in reversed(range(ROUNDS + 1)):
+    for remaining in reversed(range(REFINING.rounds + 1)):
         largest = max(max(changes) for changes in courses.changes)
         if not (largest > 0 and solution.status.success):
             break
         shift, off = _shift_with(problem, solution, courses.cut(largest / 2, shortest=1))
-        most = min(_MOST_CUTS, _MOST_SLOPES / (courses.schedule.pieces * len(problem.shooting.parts[0].predictor.free)))
-        finer = courses.cut(largest / max(1.0, min((off / AIM) ** (1 / _ORDER), most)))
-        if not (remaining and off > TOLERATED and finer.schedule.pieces > courses.schedule.pieces):
+        most = min(
+            SEARCH.most_cuts,
+            SEARCH.most_slopes / (courses.schedule.pieces * len(problem.shooting.parts[0].predictor.free)),
+        )
+        finer = courses.cut(largest / max(1.0, min((off / REFINING.aim) ** (1 / SEARCH.piece_order), most)))
+        if not (remaining and off > REFINING.tolerated and finer.schedule.pieces > courses.schedule.pieces):
             break
         posed = replace(problem.task, courses=finer).cut_anew(problem, solution.unknowns)
         refined = solve(posed.shooting, posed.unknowns, problem.task.options)
@@ -498,29 +540,24 @@ def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> 
     return (after[estimates] - before[: here.n_theta]) * here.theta_scale, max(off, 0.0)
 
 
-_SAME = 1e-3  # relative difference of losses below which the windows do not matter
-_NO_GAP = 1e-6  # of the states' size, as the solver's tolerance for one gap
-_EQUAL = 1e-9  # difference of costs that is rounding, where a fit begins at its solution
-
-
 def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, first: float) -> Solution:
     """Return a solution with a status for its whole records: gaps within the tolerance grow in a sensitive motion.
 
     What did not converge has closed gaps, so that its loss is that of a simulation. It is no worse than the start,
     whose cost in windows is `first`: simulated it costs no less.
     """
-    cost, slack = max(shooting.at(solution.unknowns).cost, shooting.exact_cost), 0.5 * float(np.log1p(_SAME))
+    cost, slack = max(shooting.at(solution.unknowns).cost, shooting.exact_cost), 0.5 * float(np.log1p(SEARCH.same_loss))
     if (
         solution.status.success
         and cost <= first
-        and passed_on(shooting, *shooting.unpack(solution.unknowns))[1] < _NO_GAP
+        and passed_on(shooting, *shooting.unpack(solution.unknowns))[1] < SEARCH.no_gap
     ):
         return solution
     begun, at_start = simulated(shooting, start)
     if shooting.extra is not None:  # the start need not meet the constraints of the caller
         at_start = np.inf
     whole, simulated_cost = simulated(shooting, solution.unknowns)
-    if solution.status.success and cost <= max(at_start, shooting.exact_cost) + _EQUAL:
+    if solution.status.success and cost <= max(at_start, shooting.exact_cost) + SEARCH.same_cost:
         sensitive = not simulated_cost <= cost + slack
         return replace(solution, status=FitStatus.CONVERGED_IN_WINDOWS) if sensitive else solution
     status = FitStatus.WORSE_THAN_START if solution.status.success else solution.status
@@ -534,9 +571,6 @@ def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, fir
 # apart along the disturbance gain. At such a minimum a coarse grid of gains is looked over, all else held. Where the
 # criterion is lower already, the fit begins again.
 
-_STRONGLY = 0.5  # correlation of neighbouring errors
-_MOST_GAINS = 4  # 16 combinations of signs
-_ROUNDS = 3
 FOUND = FitNote.OTHER_MINIMUM(
     "the criterion has several minima along the disturbance gain: this is the lowest of those met"
 )
@@ -548,7 +582,7 @@ SUSPECTED = FitNote.OTHER_MINIMUM(
 
 def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
     """Return whether neighbouring errors are strongly correlated, as at a minimum that is not the lowest."""
-    return not neighbours(problem, unknowns) < _STRONGLY
+    return not neighbours(problem, unknowns) < SEARCH.strongly
 
 
 def lower_elsewhere(problem: Shooting, unknowns: FloatArray) -> FloatArray | None:
@@ -563,7 +597,7 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray) -> FloatArray | Non
     """
     lower, upper = (edge[: problem.n_theta] * problem.theta_scale for edge in problem.box)
     gains = [i for i in problem.noise if lower[i] < upper[i] and problem.prior.information[i] == 0]
-    if not (0 < len(gains) <= _MOST_GAINS and strongly_coloured(problem, unknowns)):
+    if not (0 < len(gains) <= SEARCH.most_gains and strongly_coloured(problem, unknowns)):
         return None
     joined, kept = in_one_window(problem)
     theta, starts = joined.unpack(unknowns[kept])

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 import gbid
 from gbid.core.errors import DataError, UsageError
+from gbid.identify.pose import Search
 from gbid.identify.start.scheduled_start import Courses
 from gbid.structure.scheduling import Schedule
 
@@ -111,7 +112,7 @@ def test_pieces_are_cut_as_finely_as_the_estimates_need(monkeypatch):
     for name, true in RUN_UP.items():
         assert abs(long.parameters[name] - short.parameters[name]) < 0.2 * short.std[name]
         assert abs(long.parameters[name] - true) < 3 * long.std[name]
-    monkeypatch.setattr("gbid.identify.pose._MOST_SLOPES", 48)
+    monkeypatch.setattr("gbid.identify.pose.SEARCH", Search(most_slopes=48))
     coarse = run_up_fit(0, 0.1)
     assert coarse.schedule.pieces == 16
     assert np.abs(coarse.integration_shift).max() > 0.1

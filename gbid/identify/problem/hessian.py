@@ -7,9 +7,9 @@ directions, and Gauss-Newton converges slowly there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -219,12 +219,8 @@ _LEAST = 0.01  # smallest curvature, as a part of that of Gauss-Newton
 _FLAT = 1e-12  # largest curvature of an undetermined direction, as a part of the largest
 
 
-class Curvature(Protocol):
-    """Function for the entries of the Lagrangian's Hessian in the order of `Shooting.hessian_pattern`."""
-
-    def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Return the entries at a point, for multipliers of cost and gaps."""
-        ...
+Curvature = Callable[[FloatArray, float, FloatArray], FloatArray]
+"""Entries of the Lagrangian's Hessian in the order of `Shooting.hessian_pattern`, for unknowns and multipliers."""
 
 
 def gauss_newton(problem: Shooting) -> Curvature:

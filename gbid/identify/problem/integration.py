@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -20,10 +20,30 @@ from gbid.identify.result import FitStatus
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
 
-TOLERATED = 0.1  # standard deviations
-AIM = 0.05  # of a finer integration
-_ORDER = 3  # of the less accurate integrator
-ROUNDS = 3
+
+@dataclass(frozen=True)
+class Refining:
+    """Choice of the steps of an integrator; the error of the integration is in standard deviations of the estimates.
+
+    Attributes
+    ----------
+    tolerated : float
+        Error that matters to no interval.
+    aim : float
+        Error that a finer integration is to have.
+    order : int
+        Order of the less accurate integrator.
+    rounds : int
+        Largest number of refinements.
+    """
+
+    tolerated: float = 0.1
+    aim: float = 0.05
+    order: int = 3
+    rounds: int = 3
+
+
+REFINING = Refining()
 
 
 def integrated_finely(
@@ -58,13 +78,14 @@ def integrated_finely(
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
     steps, ahead = predictor.steps, known[0] if known else refinement(problem, solution.unknowns)
-    for _ in range(ROUNDS if predictor.adapts else 0):
+    for _ in range(REFINING.rounds if predictor.adapts else 0):
         if not solution.status.success:
             break
         start, is_finite = solution.unknowns, np.isfinite(ahead.off)
-        if ahead.off > TOLERATED:
-            steps = ceil(steps * min(8.0, (ahead.off / AIM) ** (1 / _ORDER))) if is_finite else steps * 4
-        is_finer = ahead.off > TOLERATED and steps <= MOST_STEPS
+        if ahead.off > REFINING.tolerated:
+            factor = min(8.0, (ahead.off / REFINING.aim) ** (1 / REFINING.order)) if is_finite else 4.0
+            steps = ceil(steps * factor)
+        is_finer = ahead.off > REFINING.tolerated and steps <= MOST_STEPS
         if is_finer:
             problem, start = with_steps(problem, steps), start + (ahead.step if is_finite else 0.0)
         elif solution.status is not FitStatus.CONVERGED_ACCEPTABLY:

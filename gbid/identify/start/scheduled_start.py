@@ -338,31 +338,13 @@ def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatA
 # ---- Equations with constant parameters, and how these follow from the parameters of a fit.
 
 
-class TiedEquations(NamedTuple):
-    """Structure with constant parameters, and its ties to the parameters of the fit.
-
-    Attributes
-    ----------
-    structure : Structure
-        Equations.
-    parameters : tuple of Parameter
-        Parameters of the equations.
-    begin : dict of str to float
-        Start values of these, at the mean of the courses.
-    ties : Ties
-        How they follow from the parameters of the fit.
-    """
-
-    structure: Structure
-    parameters: tuple[Parameter, ...]
-    begin: Mapping[str, float]
-    ties: Ties
-
-
 def tied_equations(
     structure: ScheduledStructure, parameters: Sequence[Parameter], begin: Mapping[str, float], courses: Courses
-) -> TiedEquations:
-    """Return the equations of a fit; `parameters` and `begin` are those of its structure."""
+) -> tuple[Structure, tuple[Parameter, ...], Mapping[str, float], Ties]:
+    """Return the equations of a fit, their parameters, start values at the mean of the courses, and ties.
+
+    `parameters` and `begin` are those of the scheduled structure; the ties tell how those of the equations follow.
+    """
     names, known = courses.schedule.names, {q.name: q for q in parameters}
     if held := [name for key in structure.surfaces for name in names(key) if known[name].fixed]:
         raise UsageError(
@@ -376,7 +358,7 @@ def tied_equations(
         for q in structure.base.parameters
     )
     values = {q.name: at_mean[q.name] if q.name in at_mean else begin[q.name] for q in local}
-    return TiedEquations(structure.base, local, values, courses.ties(parameters))
+    return structure.base, local, values, courses.ties(parameters)
 
 
 def centre_tie(structure: ScheduledStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray:

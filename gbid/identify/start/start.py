@@ -322,32 +322,39 @@ def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> F
 
 # ---- Start values of any linear structure from its data: a subspace estimate, matched to the structure.
 
-_FREQUENCIES_SUBSPACE_START = 80
-_HIGHEST = 0.4  # highest frequency, as a part of the sampling frequency
-_STARTS = 30  # largest number of starts of the match
-_DECADES = 3.0  # range of the random starts of a parameter without bounds, to both sides of its scale
-_LONGEST_DELAY = 30  # range of the random starts of a delay without a bound, in samples
-_ACCURACY = 1e-3  # smallest relative standard deviation that is believed
 
-
-@dataclass(frozen=True, eq=False)
-class SubspaceStart:
-    """Start values that were found by a subspace estimate.
+@dataclass(frozen=True)
+class MatchOptions:
+    """Search of parameters at which a structure has the response of a black-box model.
 
     Attributes
     ----------
-    values : dict of str to float
-        Start values of the parameters that were not fixed.
-    order, lags : int
-        Order of the black-box model, and number of past samples of its regression.
-    misfit : float
-        Part of the response of the black-box model that the structure does not explain, from 0 to 1.
+    frequencies : int
+        Frequencies with logarithmic spacing; more lie around the poles.
+    highest : float
+        Highest frequency, as a part of the sampling frequency.
+    starts : int
+        Largest number of starts.
+    decades : float
+        Range of the random starts of a parameter without bounds, to both sides of its scale.
+    longest_delay : int
+        Range of the random starts of a delay without a bound, in samples.
+    accuracy : float
+        Smallest relative standard deviation that is believed.
+    poor : float
+        Smallest misfit of a match that may lead to a wrong minimum.
     """
 
-    values: dict[str, float]
-    order: int
-    lags: int
-    misfit: float
+    frequencies: int = 80
+    highest: float = 0.4
+    starts: int = 30
+    decades: float = 3.0
+    longest_delay: int = 30
+    accuracy: float = 1e-3
+    poor: float = 0.3
+
+
+MATCH = MatchOptions()
 
 
 def subspace_start(
@@ -355,8 +362,8 @@ def subspace_start(
     data: FitData,
     parameters: Sequence[Parameter],
     intersample: Hold | Sequence[Hold],
-) -> SubspaceStart:
-    """Return start values of a linear structure from the data alone.
+) -> tuple[dict[str, float], str]:
+    """Return start values of a linear structure from the data alone, and how well they explain a black-box model.
 
     Parameters
     ----------
@@ -371,8 +378,11 @@ def subspace_start(
 
     Returns
     -------
-    SubspaceStart
-        Start values. Parameters of the disturbance gain alone start at zero, or at the bound next to it.
+    dict of str to float
+        Start values of the parameters that were not fixed. Those of the disturbance gain alone start at zero, or at the
+        bound next to it.
+    str
+        States of the black-box model, and the part of its response that the structure explains.
 
     Raises
     ------
@@ -394,7 +404,9 @@ def subspace_start(
     model = black_box(records, predictor.n_states, feedthrough=not decays and at_once)
     target = _target(model, data, holds, decays)
     values, misfit = matched(structure, predictor, parameters, target, data.sample_time)
-    return SubspaceStart(values, len(model.A), model.lags, misfit)
+    doubt = "; that is little: try fit_multistart" if misfit > MATCH.poor else ""
+    explained = f"the structure explains {100 * (1 - misfit):.1f} % of its response{doubt}"
+    return values, f"from the data, by a subspace model with {len(model.A)} states; {explained}"
 
 
 def matched(
@@ -432,20 +444,20 @@ def _target(model: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool)
         response, std = response / held, std / np.abs(held)
     size = np.sqrt((np.abs(response) ** 2).mean(0, keepdims=True))
     # An accuracy that is not believed: else the most accurate frequencies would be all that is matched.
-    weight = 1 / np.sqrt(std**2 + (_ACCURACY * np.abs(response)) ** 2 + (_ACCURACY**2 * size) ** 2)
+    weight = 1 / np.sqrt(std**2 + (MATCH.accuracy * np.abs(response)) ** 2 + (MATCH.accuracy**2 * size) ** 2)
     return Target(np.asarray(s, complex), np.asarray(response, complex), weight, poles, decays)
 
 
 def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
     """Return frequencies [Hz] with logarithmic spacing, and more around the poles of the black-box model."""
-    high = _HIGHEST / data.sample_time
+    high = MATCH.highest / data.sample_time
     longest = max(r.n_samples for r in data.records) * data.sample_time
     low = min(max(1 / longest, 0.05 * float(np.abs(poles).min()) / (2 * np.pi)), 0.1 * high)
     pairs = poles[poles.imag > 0]
     spread = np.array([-3.0, -1.5, -0.7, -0.3, 0.0, 0.3, 0.7, 1.5, 3.0])
     around = (pairs.imag[:, None] + np.abs(pairs.real)[:, None] * spread).ravel() / (2 * np.pi)
     inside = around[(around > low) & (around < high)]
-    return np.unique(np.concatenate([np.geomspace(low, high, _FREQUENCIES_SUBSPACE_START), inside]))
+    return np.unique(np.concatenate([np.geomspace(low, high, MATCH.frequencies), inside]))
 
 
 def _draw(
@@ -457,24 +469,22 @@ def _draw(
     stated = np.array([np.nan if q.start is None else q.start for q in free], float)
     is_delay = np.array([q.name in delays for q in free], bool)
     low = np.where(is_delay, np.maximum(lower, 0.0), lower)
-    high = np.where(is_delay, np.minimum(upper, _LONGEST_DELAY * sample_time), upper)
+    high = np.where(is_delay, np.minimum(upper, MATCH.longest_delay * sample_time), upper)
     between = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(between, low, 0.0), np.where(between, high, 1.0)
     scale = np.where(np.isfinite(stated) & (stated != 0), np.abs(stated), 1.0)
     rate = float(np.exp(np.log(np.maximum(np.abs(target.poles), 1e-12)).mean()))
     first = np.where(between, 0.5 * (low + high), np.where(upper <= 0, -1.0, 1.0))
     yield np.clip(np.where(np.isfinite(stated), stated, first), lower, upper)
-    for _ in range(_STARTS - 1):
+    for _ in range(MATCH.starts - 1):
         powers = rate ** random.choice([0, 1, 2], len(scale))  # a damping is like the rate, a stiffness like its square
         size = np.where(random.random(len(scale)) < 0.5, scale, powers)
-        size = size * 10.0 ** random.uniform(-_DECADES, _DECADES, len(scale))
+        size = size * 10.0 ** random.uniform(-MATCH.decades, MATCH.decades, len(scale))
         sign = np.where(lower >= 0, 1.0, np.where(upper <= 0, -1.0, random.choice([-1.0, 1.0], len(scale))))
         yield np.clip(np.where(between, random.uniform(low, high), sign * size), lower, upper)
 
 
 # ---- Start values of a fit and where they come from: the caller, the structure, or the data.
-
-_POOR = 0.3  # smallest misfit of a match that may lead to a wrong minimum
 
 
 @dataclass(frozen=True)
@@ -544,11 +554,12 @@ def begin_values(
     missing = [q.name for q in parameters if q.name not in stated]
     if missing and has_no_starts(structure):
         driven: Any = structure if data.input_names else kind_of(structure).without_inputs()
-        start = subspace_start(driven, data, parameters, intersample)
-        values = {**start.values, **stated}
-        notes = (_note(start, missing),)
+        found, how = subspace_start(driven, data, parameters, intersample)
+        values = {**found, **stated}
+        listed = ", ".join(missing) if len(missing) <= 8 else f"{len(missing)} parameters"
+        notes = (FitNote.STARTS_FROM_DATA(f"start values of {listed}: {how}"),)
     else:
-        values = start_values(structure, data, stated)
+        values = start_values(structure, data, stated) if missing else stated
     within = {
         q.name: values[q.name] if q.name in stated else float(np.clip(values[q.name], q.lower, q.upper))
         for q in parameters
@@ -572,13 +583,3 @@ def _of_loop(
     begin = begin_values(plant, rest, data, plant.intersample, given, from_data=from_data)
     origin = {name: "user" if name in given else "structure" for name in gains}
     return Begin({**begin.values, **gains}, {**begin.origin, **origin}, begin.notes)
-
-
-def _note(start: SubspaceStart, missing: Sequence[str]) -> str:
-    listed = ", ".join(missing) if len(missing) <= 8 else f"{len(missing)} parameters"
-    note = (
-        f"start values of {listed}: from the data, by a subspace model with {start.order} states; the structure "
-        f"explains {100 * (1 - start.misfit):.1f} % of its response"
-    )
-    doubt = "; that is little: try fit_multistart" if start.misfit > _POOR else ""
-    return FitNote.STARTS_FROM_DATA(f"{note}{doubt}")
