@@ -149,3 +149,50 @@ def test_bad_input() -> None:
         disk_margins_by_loop(loop, "middle")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="is not a position whose velocity is a state"):
         static_stiffness_ratio(gbid.sensitivities(TRIPLE, static(-2.0)))
+
+
+def chain(poles, integrators, sample_time=None):
+    """Gain over real poles and integrators, with a random zero where it has two poles or more."""
+    n = len(poles) + integrators
+    A = np.diag([*poles, *(integrators * [0.0 if sample_time is None else 1.0])]) + np.diag(np.ones(n - 1), -1)
+    return LinearModel(A, np.eye(n)[:, :1], np.eye(n)[-1:], [[0.0]], dt=sample_time)
+
+
+def random_loop(rng):
+    """Return a stable loop of one channel with up to three integrators, continuous or sampled, from random draws."""
+    while True:
+        sample_time = None if rng.random() < 0.5 else 0.1
+        rates = rng.uniform(0.2, 20, rng.integers(1, 4))
+        poles = -rates if sample_time is None else np.exp(-rates * 0.1)
+        plant = chain(poles, int(rng.integers(0, 4)), sample_time)
+        C = plant.C + rng.normal(size=plant.C.shape) * rng.uniform(0, 30)
+        plant = replace(plant, C=C, D=[[rng.choice([0.0, 0.0, rng.normal()])]])
+        controller = static(rng.normal() * 10.0 ** rng.uniform(-2, 2))
+        controller = replace(controller, dt=sample_time) if sample_time else controller
+        try:
+            if close_loop(plant, controller).is_stable():
+                return plant, controller
+        except UsageError:  # no loop: 1 = D K
+            continue
+
+
+def is_stable(plant, controller, factor):
+    return close_loop(plant, replace(controller, D=factor * controller.D)).is_stable()
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_gain_limits_are_those_of_the_eigenvalues(seed) -> None:
+    plant, controller = random_loop(np.random.default_rng(seed))
+    ((low, high),) = (margins.gain for margins in loop_margins(gbid.sensitivities(plant, controller)))
+    assert 0 <= low < 1 <= high
+    inside = np.geomspace(max(1.0001 * low, 1e-3), min(0.9999 * high, 1e3), 25)
+    assert all(is_stable(plant, controller, factor) for factor in inside)
+    assert low == 0 or not is_stable(plant, controller, 0.9999 * low)
+    assert high == np.inf or not is_stable(plant, controller, 1.0001 * high)
+
+
+def test_an_integrator_puts_no_lower_limit() -> None:
+    """2/(s (s + 1)(s + 2)) is stable up to three times its gain, 10/(s (s + 5)) at any."""
+    for model, limit in ((chain([-1.0, -2.0], 1), 3.0), (chain([-5.0], 1), np.inf)):
+        (margins,) = loop_margins(gbid.sensitivities(model, static(-2.0 if limit == 3.0 else -10.0)))
+        assert margins.gain == pytest.approx((0.0, limit), rel=1e-9)

@@ -640,7 +640,7 @@ def _margins_of(loop: Sensitivities, at: Side, i: int, grid: FloatArray, S: Comp
         return complex(1 - 1 / loop.response(at, f)[0, i, i])
 
     L = 1 - 1 / S
-    factors = [1 / L[0].real] if L[0].real > 0 else []
+    factors = [1 / value for value in _real_ends(loop, i, gain_at) if value > 0]
     for f in _zeros(lambda f: gain_at(f).imag, grid, L.imag):
         value = gain_at(f).real
         if value > 0:
@@ -654,6 +654,26 @@ def _margins_of(loop: Sensitivities, at: Side, i: int, grid: FloatArray, S: Comp
         if f > 0:
             delays.append((angle % (2 * pi)) / (2 * pi * f))
     return LoopMargins((low, high), min(phases), min(delays))
+
+
+_PASSED_ON = 0.1  # smallest relative change of the loop gain over an octave at rest with an integrator in the loop
+
+
+def _real_ends(loop: Sensitivities, i: int, gain_at: Callable[[float], complex]) -> list[float]:
+    """Return the loop gain of a channel where it is real: at rest, and at the Nyquist or at an infinite frequency.
+
+    With an integrator the gain at rest is infinite, and no factor but zero brings a pole there.
+    """
+    rest = float(loop._beside_integrators(np.zeros(1))[0])
+    at_rest = gain_at(rest)
+    is_finite = rest == 0 or abs(gain_at(2 * rest) - at_rest) < _PASSED_ON * abs(at_rest)
+    ends = [at_rest.real] if is_finite else []
+    if loop.plant.dt is not None:
+        return [*ends, gain_at(0.5 / loop.plant.dt).real]
+    if loop.has_delay:  # the gain turns for ever
+        return ends
+    D = loop.plant.D @ loop.controller.D
+    return [*ends, float(1 - 1 / np.linalg.inv(np.eye(len(D)) - D)[i, i])] if D.any() else ends
 
 
 def _zeros(function: object, grid: FloatArray, values: FloatArray) -> list[float]:
