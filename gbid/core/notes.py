@@ -128,6 +128,7 @@ class ControlNote(NoteKind):
     FURTHER_MODES = "GB411"
     FIT_NOT_CONVERGED = "GB412"
     WORST_POINTS_NOT_SEARCHED = "GB413"
+    CLIPPED = "GB414"
 
 
 # ---- All kinds of notes by their codes.

@@ -632,7 +632,7 @@ def find_problems(
                     "sensor, a loose cable or the wrong column of the mapping: correct it, or leave the signal out."
                 )
                 problems.append(SignalProblem(signal, channel, "constant", text))
-            elif stays := _stays(column):
+            elif stays := stays_at_limits(column):
                 count = sum(stays.values())
                 at = " and ".join(_with_unit(value, unit) for value in stays)
                 text = (
@@ -675,7 +675,7 @@ def _with_unit(value: float, unit: str) -> str:
     return f"{value:g} {unit}".rstrip()
 
 
-def _stays(column: FloatArray) -> dict[float, int]:
+def stays_at_limits(column: FloatArray) -> dict[float, int]:
     """Return the number of samples in long runs at each extreme value; empty when the channel is not saturated."""
     if np.count_nonzero((column == column.min()) | (column == column.max())) <= MAX_STAY * len(column):
         return {}  # without a sort

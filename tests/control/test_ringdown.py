@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 import gbid
 from gbid.control.impact.measured import find_impacts
-from gbid.control.impact.ringdown import RingProblem
+from gbid.control.impact.ringdown import RingDownStatus, RingProblem
 from gbid.core.errors import DataError, UsageError
 
 H = 2e-4
@@ -233,3 +233,30 @@ def test_free_decays_beside_impacts_leave_the_lags_free():
     both = gbid.fit_ringdown([rec, decay], lags=3)
     assert (len(both.lag_rates), both.n_impacts) == (3, 2)
     assert np.abs(values(both) / TRUE - 1).max() < 0.05
+
+
+def decays(damping, amplitude=10e-6, noise=1e-7, limit=np.inf):
+    """Free motion of two modes at 100 and 130 Hz, sampled for half a second, between the limits of its sensor."""
+    t = 2e-4 * np.arange(2500)[:, None]
+    shapes, phases = np.array([[1.0, 0.3], [0.4, 1.0]]), np.array([[0.3, 2.0], [1.0, 0.2]])
+    modes = zip((100.0, 130.0), damping, shapes, phases, strict=True)
+    p = sum(
+        a * np.exp(-z * 2 * np.pi * f * t) * np.cos(2 * np.pi * f * np.sqrt(1 - z * z) * t + ph)
+        for f, z, a, ph in modes
+    )
+    p = amplitude * p + noise * np.random.default_rng(5).standard_normal(p.shape)
+    return gbid.Recording({"p": np.clip(p, -limit, limit)}, 2e-4, name="decay", units={"p": "m"})
+
+
+def test_a_clipped_decay_is_named_and_no_success():
+    assert gbid.fit_ringdown(decays((0.02, 0.03)), force=()).success
+    clipped = gbid.fit_ringdown(decays((0.02, 0.03), limit=6e-6), force=())
+    assert clipped.status is RingDownStatus.CLIPPED
+    assert not clipped.success
+    assert "position x stays at -6e-06 m, 6e-06 m" in clipped.notes[0]
+
+
+@pytest.mark.parametrize("damping", [(-0.005, 0.02), (0.0, 0.0), (0.0, 0.02)])
+def test_what_does_not_decay_is_no_success(damping):
+    result = gbid.fit_ringdown(decays(damping, amplitude=1e-6), force=())
+    assert result.status is RingDownStatus.NO_DECAY

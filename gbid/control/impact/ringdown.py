@@ -25,6 +25,7 @@ from gbid.core.option_types import CountOrZero, NotNegative
 from gbid.discretise.exact import propagate
 from gbid.prefilter.runout import shaft_motion
 from gbid.recording import Recording
+from gbid.recording.quality import stays_at_limits
 
 N_MECHANICAL = 8
 """Parameters of K and D."""
@@ -678,6 +679,8 @@ class RingDownStatus(StrEnum):
     NOT_CONVERGED = "not converged"
     NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
     """The response is damped so much that it does not oscillate."""
+    NO_DECAY = "no decay: a mode does not decay within its standard deviation"
+    CLIPPED = "clipped: positions stay at the limit of their sensor"
 
 
 @dataclass(frozen=True, eq=False)
@@ -863,6 +866,19 @@ def _check_arguments(group: list[Recording], start: Sequence[tuple[float, float]
             )
 
 
+_SURE = 2.0  # standard deviations by which a damping factor must be positive
+
+
+def _limits_in_words(data: RingData, unit: float) -> list[str]:
+    """Return the channels of a recording whose free responses stay at a limit, with the limit."""
+    free = np.vstack([data.position[start:stop] for start, stop in data.segments])
+    return [
+        f"recording {data.name!r}: position {axis} stays at {', '.join(f'{unit * limit:.3g} m' for limit in limits)}"
+        for axis, column in zip("xy", free.T, strict=True)
+        if (limits := stays_at_limits(column))
+    ]
+
+
 def _result(
     solved: SeparableFit,
     group: list[Recording],
@@ -895,6 +911,11 @@ def _result(
     if words:
         text = f"the response rings in more than two modes; fitted beside them as decays at {words}"
         notes.append(ControlNote.FURTHER_MODES(text))
+    if status is RingDownStatus.CONVERGED and (modes[1::2] <= _SURE * std[1::2]).any():
+        status = RingDownStatus.NO_DECAY
+    if clipped := [text for data in problem.data for text in _limits_in_words(data, unit)]:
+        status = RingDownStatus.CLIPPED
+        notes.append(ControlNote.CLIPPED(f"{'; '.join(clipped)}: widen its range, or use the later part of the decay"))
     if status is RingDownStatus.CONVERGED and std[0] + std[2] > modes[2] - modes[0]:
         text = "the frequencies differ by less than their uncertainty: which mode is which is not certain"
         notes.append(ControlNote.MODES_ALIKE(text))
