@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
+from theisen2016_figures import POINT, PaperResults, published_controller
 from theisen2016_impacts import LOOPS, recorded_again, ringing_without_noise, without_noise
 
 import gbid
@@ -31,7 +32,6 @@ from gbid.experiment.fields import needed
 from gbid.experiment.machine import rig_run
 from gbid.lpv import LPVFit, LPVModel, characteristics, fit_lpv, load_machine
 from gbid.lpv.model import CHARACTERISTICS
-from gbid.report.read import POINT, Results, published_controller
 from gbid.rig import Prbs, record
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
@@ -154,7 +154,7 @@ _CAP = 2.6
 """Largest peak of S_o of the controllers that are tuned for each reading of a coefficient, as in the experiment."""
 
 
-def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
+def _values() -> Iterator[tuple[str, Callable[[PaperResults], Own]]]:
     """Yield for each id the function that returns our value in SI units (percents as such)."""
     for k, pair in enumerate(_PAIRS):
         yield f"static_rms_{pair}", partial(_static_rms, k)
@@ -185,43 +185,43 @@ def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
     yield "hysteresis", _hysteresis
 
 
-def _static_rms(k: int, results: Results) -> Own:
+def _static_rms(k: int, results: PaperResults) -> Own:
     return float(results.static_map.rms.flat[k]), nan
 
 
-def _static_largest(results: Results) -> Own:
+def _static_largest(results: PaperResults) -> Own:
     return float(np.nanmax(results.static_map.largest)), nan
 
 
-def _models(results: Results) -> Own:
+def _models(results: PaperResults) -> Own:
     """Return the number of recordings whose fits determine the surfaces."""
     return float(len(results.surface_fit.estimates.recordings)), nan
 
 
-def _actuator(name: str, results: Results) -> Own:
+def _actuator(name: str, results: PaperResults) -> Own:
     """Return a parameter of the nominal actuator, and its standard deviation between recordings: it is one of them."""
     nominal = results.nominal
     return nominal.parameters[name], float(nominal.values[:, nominal.parameter_names.index(name)].std(ddof=1))
 
 
-def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: Results) -> Own:
+def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: PaperResults) -> Own:
     """Return mean or standard deviation of the fit percent; pairs of one recording count as one value."""
     summary = results.summary(structure)
     std, n = float(summary.std[j]), summary.n_recordings
     return (float(summary.mean[j]), std / sqrt(n)) if what == "mean" else (std, std / sqrt(2 * (n - 1)))
 
 
-def _rms(j: int, results: Results) -> Own:
+def _rms(j: int, results: PaperResults) -> Own:
     rms = results.surface_fit.deviations[j].rms
     return rms, rms / sqrt(2 * _left_over(results))
 
 
-def _left_over(results: Results) -> int:
+def _left_over(results: PaperResults) -> int:
     """Return the number of recordings less the number of terms of a surface."""
     return len(results.surface_fit.estimates.recordings) - int(results.surface_fit.coefficients.shape[1])
 
 
-def _largest_gain(results: Results) -> Own:
+def _largest_gain(results: PaperResults) -> Own:
     return max(d.largest for d in results.surface_fit.deviations if d.name.startswith("g_")), nan
 
 
@@ -231,59 +231,59 @@ def _of_points(model: LPVModel, points: FloatArray) -> FloatArray:
     return characteristics(np.column_stack([np.broadcast_to(keys[key], len(points)) for key in KEY_PARAMETERS]))
 
 
-def _points(results: Results) -> FloatArray:
+def _points(results: PaperResults) -> FloatArray:
     return np.array(results.machine.operating_points, float)
 
 
-def _off_published(j: int, results: Results) -> Own:
+def _off_published(j: int, results: PaperResults) -> Own:
     """Return the rms over the operating points of a characteristic of our surfaces minus that of the published ones."""
     ours, published = (_of_points(q, _points(results)) for q in (results.surface_fit.model, results.machine))
     return float(np.sqrt(np.mean((ours[:, j] - published[:, j]) ** 2))), nan
 
 
-def _expected(loop: str, i: int, j: int, results: Results) -> Own:
+def _expected(loop: str, i: int, j: int, results: PaperResults) -> Own:
     return results.impacts_at(False)[loop].expected[i][j], float(_drawn(results)[loop][i, j])
 
 
-def _obtained(loop: str, i: int, j: int, results: Results) -> Own:
+def _obtained(loop: str, i: int, j: int, results: PaperResults) -> Own:
     """Return a mode from the ring-downs, with its standard deviation between impacts that are recorded again."""
     between = recorded_again(results, loop).std(axis=0, ddof=1)
     return float(_ringing(results, loop)[i, j]), float(between[i, j])
 
 
-def _ringing(results: Results, loop: str) -> FloatArray:
+def _ringing(results: PaperResults, loop: str) -> FloatArray:
     """Return frequency [Hz] and damping factor of both modes, (2, 2), from the ring-downs of the run."""
     return np.array(results.impacts_at(False)[loop].ringdown.modes())
 
 
-def _damping_factor(i: int, results: Results) -> Own:
+def _damping_factor(i: int, results: PaperResults) -> Own:
     """Return the factor by which the controller increases a damping factor."""
     (closed, closed_std), (opened, opened_std) = (_expected(loop, i, 1, results) for loop in ("closed", "open"))
     return closed / opened, closed / opened * hypot(closed_std / closed, opened_std / opened)
 
 
-def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
+def _published_mode(loop: str, i: int, j: int, results: PaperResults) -> Own:
     """Return frequency or damping factor of a mode of the published model, with or without its controller."""
     return _modes(results.machine, results)[loop][i, j], nan
 
 
-def _published_factor(i: int, results: Results) -> Own:
+def _published_factor(i: int, results: PaperResults) -> Own:
     return _published_mode("closed", i, 1, results)[0] / _published_mode("open", i, 1, results)[0], nan
 
 
 @lru_cache(maxsize=4)
-def _retuned(results: Results) -> GainResult:
+def _retuned(results: PaperResults) -> GainResult:
     """Return gains tuned on the published model at the point of the paper, with the peak of S_o of its own gains."""
     machine = results.machine
     cap = sensitivities(machine.plant_at(*POINT), published_controller(results.published_machine)).peak("output").value
     return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
 
 
-def _retuned_gain(name: str, results: Results) -> Own:
+def _retuned_gain(name: str, results: PaperResults) -> Own:
     return _retuned(results).gains[name], nan
 
 
-def _hysteresis(results: Results) -> Own:
+def _hysteresis(results: PaperResults) -> Own:
     for curve, *_ in results.piezos:
         if curve.units[0] == "V":
             return curve.hysteresis, curve.hysteresis_std
@@ -293,14 +293,14 @@ def _hysteresis(results: Results) -> Own:
 # ---- Modes of loops: of the paper's continuous one, and of the rig's sampled one.
 
 
-def _modes(model: LPVModel, results: Results) -> dict[str, FloatArray]:
+def _modes(model: LPVModel, results: PaperResults) -> dict[str, FloatArray]:
     """Return frequency [Hz] and damping factor of two modes, (2, 2), of the continuous loops of the paper."""
     plant = model.plant_at(*POINT)
     closed = close_loop(plant, published_controller(results.published_machine))
     return {"open": np.array(ringing_modes(plant)), "closed": np.array(ringing_modes(closed))}
 
 
-def _running(model: LPVModel, results: Results, computation_s: float | None = None) -> dict[str, FloatArray]:
+def _running(model: LPVModel, results: PaperResults, computation_s: float | None = None) -> dict[str, FloatArray]:
     """Return the same of the loops with exact delays and the sampled controller; one sample of computation if None."""
     plant, rate = exact_plant(model, *POINT), sample_time(results.experiment)
     sampled = sample_controller(published_controller(results.published_machine), rate)
@@ -309,7 +309,7 @@ def _running(model: LPVModel, results: Results, computation_s: float | None = No
 
 
 @lru_cache(maxsize=4)
-def _drawn(results: Results) -> dict[str, FloatArray]:
+def _drawn(results: PaperResults) -> dict[str, FloatArray]:
     """Return standard deviations of modes, (2, 2), over models drawn with the error of the surfaces."""
     models = results.surface_fit.draw(_DRAWS, seed=1)
     loops = [_modes(replace(q, actuators=results.identified.actuators), results) for q in models]
@@ -319,7 +319,7 @@ def _drawn(results: Results) -> dict[str, FloatArray]:
 # ---- Explanations. Each is a computation that predicts our value, and its standard deviation, without that value.
 
 
-def _of_plateaus(number: PaperNumber, results: Results) -> Own:
+def _of_plateaus(number: PaperNumber, results: PaperResults) -> Own:
     """Return the noise of the plateaus about a straight line; nothing else is left of a linear rig."""
     static = results.static_map
     shown = static.output_std[static.axis >= -1]
@@ -338,7 +338,7 @@ def _largest_of(std: float, n: int) -> Own:
 
 
 @lru_cache(maxsize=4)
-def _quiet_actuators(results: Results) -> dict[str, float]:
+def _quiet_actuators(results: PaperResults) -> dict[str, float]:
     """Return the actuator fitted to a recording of the rig's stacks without any noise."""
     planned = next(q for q in results.experiment.recordings.values() if q.excited)
     machine = without_noise(rig_run(results.experiment, planned)).machine
@@ -349,14 +349,14 @@ def _quiet_actuators(results: Results) -> dict[str, float]:
     return dict(gbid.fit(gbid.PiezoPair(), gbid.prefilter(quiet)[0]).parameters)
 
 
-def _of_stacks(number: PaperNumber, results: Results) -> Own:
+def _of_stacks(number: PaperNumber, results: PaperResults) -> Own:
     """Return the linear model of the nonlinear stacks, without noise."""
     name = number.id.removeprefix("actuator_")
     return _quiet_actuators(results)[name], _actuator(name, results)[1]
 
 
 @lru_cache(maxsize=4)
-def _std_of_fits(results: Results) -> FloatArray:
+def _std_of_fits(results: PaperResults) -> FloatArray:
     """Return the standard deviation of each characteristic of each fit, (n, 10), by its covariance."""
     estimates = results.surface_fit.estimates
     return np.array([_propagated(v, c) for v, c in zip(estimates.values, estimates.covariance, strict=True)])
@@ -370,7 +370,7 @@ def _propagated(values: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("ai,ab,bi->i", slopes, covariance, slopes)))
 
 
-def _set_scatter(j: int, results: Results) -> float:
+def _set_scatter(j: int, results: PaperResults) -> float:
     """Return the rms off a surface that the scatter of the rig and the errors of the fits make."""
     scatter = results.experiment.spec.rig.scatter if results.experiment.spec.rig else None
     if scatter is None:
@@ -380,7 +380,7 @@ def _set_scatter(j: int, results: Results) -> float:
     return float(np.sqrt((drawn**2 + np.mean(_std_of_fits(results)[:, j] ** 2)) * _left_over(results) / n))
 
 
-def _of_share(number: PaperNumber, results: Results) -> Own:
+def _of_share(number: PaperNumber, results: PaperResults) -> Own:
     """Return the scatter that the rig draws with the errors of the fits."""
     if number.id == "largest_gain":
         gains = range(CHARACTERISTICS.index("g_xx"), len(CHARACTERISTICS))
@@ -390,7 +390,7 @@ def _of_share(number: PaperNumber, results: Results) -> Own:
     return predicted, predicted / sqrt(2 * _left_over(results))
 
 
-def _of_surfaces(number: PaperNumber, results: Results) -> Own:
+def _of_surfaces(number: PaperNumber, results: PaperResults) -> Own:
     """Return the standard deviations that the surfaces state; six terms make about six independent errors."""
     stds = _std_of_surfaces(results)[:, CHARACTERISTICS.index(number.id.removeprefix("surface_"))]
     predicted = float(np.sqrt(np.mean(stds**2)))
@@ -398,7 +398,7 @@ def _of_surfaces(number: PaperNumber, results: Results) -> Own:
 
 
 @lru_cache(maxsize=4)
-def _std_of_surfaces(results: Results) -> FloatArray:
+def _std_of_surfaces(results: PaperResults) -> FloatArray:
     """Return the standard deviation of each characteristic of the surfaces at the operating points, (n, 10)."""
     points, fit = _points(results), results.surface_fit
     keys = fit.model.key_parameters(points[:, 0], points[:, 1])
@@ -406,7 +406,7 @@ def _std_of_surfaces(results: Results) -> FloatArray:
     return np.array([_propagated(v, c) for v, c in zip(values, fit.uncertainty_at(*points.T), strict=True)])
 
 
-def _of_actuators(number: PaperNumber, results: Results) -> Own:
+def _of_actuators(number: PaperNumber, results: PaperResults) -> Own:
     """Return the published bearing behind our nominal actuators."""
     modes = _modes(replace(results.machine, actuators=results.identified.actuators), results)
     if number.id.startswith("damping_factor"):
@@ -416,7 +416,7 @@ def _of_actuators(number: PaperNumber, results: Results) -> Own:
     return float(modes[loop][at]), _expected(loop, *at, results)[1]
 
 
-def _of_rig(number: PaperNumber, results: Results) -> Own:
+def _of_rig(number: PaperNumber, results: PaperResults) -> Own:
     """Return what ring-downs show without noise and scatter; the obtained value has the only standard deviation."""
     loop, at = _place(number)
     return float(ringing_without_noise(results, loop)[at]), 0.0
@@ -432,7 +432,7 @@ _EQUAL = 0.0005
 """Half of the last digit of a damping factor in Table 4."""
 
 
-def _of_flat(_: PaperNumber, results: Results) -> Own:
+def _of_flat(_: PaperNumber, results: PaperResults) -> Own:
     """Return the gains whose damping is the best to its last printed digit, by eigenvalues on a grid under the cap."""
     plant, best = results.machine.plant_at(*POINT), _retuned(results)
     known = results.published_machine.controller
@@ -449,7 +449,7 @@ def _of_flat(_: PaperNumber, results: Results) -> Own:
     return float(np.mean(equal)), (max(equal) - min(equal)) / 4
 
 
-EXPLANATIONS: dict[str, Callable[[PaperNumber, Results], Own]] = {
+EXPLANATIONS: dict[str, Callable[[PaperNumber, PaperResults], Own]] = {
     "plateaus": _of_plateaus,
     "stacks": _of_stacks,
     "share": _of_share,
@@ -524,13 +524,13 @@ class ReproductionRow:
         }
 
 
-def reproduction(results: Results) -> list[ReproductionRow]:
+def reproduction(results: PaperResults) -> list[ReproductionRow]:
     """Return the comparison of an experiment with the paper.
 
     Parameters
     ----------
-    results : Results
-        Results for the machine of the paper.
+    results : PaperResults
+        PaperResults for the machine of the paper.
 
     Returns
     -------
@@ -548,7 +548,7 @@ def reproduction(results: Results) -> list[ReproductionRow]:
 
 
 @lru_cache(maxsize=256)
-def _compared(number: PaperNumber, results: Results) -> ReproductionRow:
+def _compared(number: PaperNumber, results: PaperResults) -> ReproductionRow:
     """Return the row of a figure, with the check of its explanation where it is outside."""
     scale = _SCALE.get(number.unit, 1.0)
     try:
@@ -604,7 +604,7 @@ class Sentence:
     kind: Kind
 
 
-def sentences(results: Results, path: Path = FILE) -> list[dict[str, str]]:
+def sentences(results: PaperResults, path: Path = FILE) -> list[dict[str, str]]:
     """Return the sentences of the paper as plain values: where, what it says, kind, answer, figure."""
     documents = []
     for sentence in (Sentence(**row) for row in read_yaml(path).data["sentences"]):
@@ -617,18 +617,18 @@ def sentences(results: Results, path: Path = FILE) -> list[dict[str, str]]:
     return documents
 
 
-def _linear(results: Results) -> Answer:
+def _linear(results: PaperResults) -> Answer:
     off = 1e6 * float(np.nanmax(results.static_map.largest))
     return None, f"the rig is linear by its equations; off a line by up to {off:.2g} um, which is noise"
 
 
-def _coupling(results: Results) -> Answer:
+def _coupling(results: PaperResults) -> Answer:
     g = np.abs(_of_points(results.surface_fit.model, _points(results))[:, -4:])
     ratio = float((g[:, [0, 3]].min(axis=1) / g[:, [1, 2]].max(axis=1)).min())
     return ratio >= 10, f"smallest ratio of a direct to a cross gain over the 15 points: {ratio:.1f}"
 
 
-def _runout(results: Results) -> Answer:
+def _runout(results: PaperResults) -> Answer:
     turning = {name for name, q in results.experiment.recordings.items() if q.conditions.get("speed_rpm")}
     rows = [row for row in results.prefiltered if row["recording"] in turning]
     if not rows:
@@ -638,7 +638,7 @@ def _runout(results: Results) -> Answer:
     return bool(2 * after**2 < before**2), words  # what is removed has more energy than what stays
 
 
-def _constant_actuators(results: Results) -> Answer:
+def _constant_actuators(results: PaperResults) -> Answer:
     nominal = results.nominal
     conditions = [results.experiment.recordings[name.rpartition("/")[2]].conditions for name in nominal.models]
     where = np.array([[c["pressure_bar"], c["speed_rpm"]] for c in conditions])
@@ -653,24 +653,24 @@ def _constant_actuators(results: Results) -> Answer:
     )
 
 
-def _outliers(results: Results) -> Answer:
+def _outliers(results: PaperResults) -> Answer:
     n = len({outlier.model for outlier in results.nominal.outliers})
     return n > 0, f"{n} of {len(results.nominal.models)} models beyond {results.nominal.limit:.1f} robust std"
 
 
-def _coloured(results: Results) -> Answer:
+def _coloured(results: PaperResults) -> Answer:
     rows = results.crossval[results.fit_with("rotor_bearing")][0]
     coloured = sum(row.residuals_white is False for row in rows)
     follow = sum(bool(row.residuals_follow) for row in rows)
     return coloured + follow > 0, f"of {len(rows)} outputs {coloured} not white, {follow} follow an input"
 
 
-def _small_residuals(results: Results) -> Answer:
+def _small_residuals(results: PaperResults) -> Answer:
     largest = 1e6 * results.summary("rotor_bearing").infinity_norm_max
     return None, f"the paper prints no limit; largest residual {largest[0]:.2g} um in x, {largest[1]:.2g} in y"
 
 
-def _horizontal_actuators(results: Results) -> Answer:
+def _horizontal_actuators(results: PaperResults) -> Answer:
     nominal, mean = results.nominal, results.summary("piezo_pair").mean
     spread = nominal.values.std(axis=0, ddof=1) / nominal.values.mean(axis=0)
     x, y = (
@@ -682,13 +682,13 @@ def _horizontal_actuators(results: Results) -> Answer:
     return bool(mean[0] < mean[1] and x > y), words
 
 
-def _longer_delay(results: Results) -> Answer:
+def _longer_delay(results: PaperResults) -> Answer:
     tau = _of_points(results.surface_fit.model, _points(results))[:, :2]
     n = int((tau[:, 0] > tau[:, 1]).sum())
     return n == len(tau), f"at {n} of {len(tau)} points"
 
 
-def _falling_delay(results: Results) -> Answer:
+def _falling_delay(results: PaperResults) -> Answer:
     points = _points(results)
     tau = _of_points(results.surface_fit.model, points)[:, :2]
     falls = [
@@ -701,7 +701,7 @@ def _falling_delay(results: Results) -> Answer:
     return bool(x + y == 2 * len(falls)), f"in {x} (x) and {y} (y) of {len(falls)} steps of 1 bar"
 
 
-def _uncertain_damping(results: Results) -> Answer:
+def _uncertain_damping(results: PaperResults) -> Answer:
     relative = [
         d.rms / abs(float(column.mean()))
         for d, column in zip(results.surface_fit.deviations, results.surface_fit.characteristics[1].T, strict=True)
@@ -710,7 +710,7 @@ def _uncertain_damping(results: Results) -> Answer:
     return zeta > f, f"rms off the surface, relative: damping {zeta:.2g} %, frequencies {f:.2g} %"
 
 
-def _four_krpm(results: Results) -> Answer:
+def _four_krpm(results: PaperResults) -> Answer:
     estimated, surface = results.surface_fit.characteristics
     away = (estimated - surface)[:, 4:6]
     there = results.surface_fit.estimates.points[:, 1] == 4000
@@ -722,7 +722,7 @@ def _four_krpm(results: Results) -> Answer:
     )
 
 
-def _sensitivity(results: Results) -> Answer:
+def _sensitivity(results: PaperResults) -> Answer:
     machine = results.published_machine
     loop = sensitivities(machine.model.plant_at(*POINT), published_controller(machine))
     at = np.abs(loop.response("output", [1.0, *(f for f, _ in machine.model.at(*POINT).modes())]))
@@ -731,7 +731,7 @@ def _sensitivity(results: Results) -> Answer:
     return bool(low > 1 > resonances), words
 
 
-def _peak_gain(results: Results) -> Answer:
+def _peak_gain(results: PaperResults) -> Answer:
     machine = results.published_machine
     plant = machine.model.plant_at(*POINT)
     opened, closed = (
@@ -740,12 +740,12 @@ def _peak_gain(results: Results) -> Answer:
     return closed < opened / 2, f"published model: largest singular value {opened:.2f}, closed {closed:.2f} m/m"
 
 
-def _more_damping(results: Results) -> Answer:
+def _more_damping(results: PaperResults) -> Answer:
     opened, closed = (float(_ringing(results, loop)[0, 1]) for loop in LOOPS)
     return closed > 2 * opened, f"damping factor 1 from the ring-downs {opened:.3f}, closed {closed:.3f}"
 
 
-def _little_coupling(results: Results) -> Answer:
+def _little_coupling(results: PaperResults) -> Answer:
     shares = []
     for loop in LOOPS:
         study = results.impacts_at(False)[loop]
@@ -761,7 +761,7 @@ def _little_coupling(results: Results) -> Answer:
     return closed < opened / 2, f"motion across an impact over motion along it: {opened:.2f}, closed {closed:.2f}"
 
 
-def _factor_two(results: Results) -> Answer:
+def _factor_two(results: PaperResults) -> Answer:
     ratios = []
     for loop in LOOPS:
         study = results.impacts_at(False)[loop]
@@ -773,37 +773,37 @@ def _factor_two(results: Results) -> Answer:
     )
 
 
-def _agreement(results: Results) -> Answer:
+def _agreement(results: PaperResults) -> Answer:
     fits = [v.along_percent for v in results.impacts_at(False)["closed"].validations]
     return None, f"the paper prints no figure; fit along the impact {', '.join(f'{q:.1f} %' for q in fits)}"
 
 
-def _orbits(results: Results) -> dict[str, FloatArray]:
+def _orbits(results: PaperResults) -> dict[str, FloatArray]:
     """Return the amplitudes in x and y of the motion synchronous with the shaft [um], by loop."""
     loops = results.impacts_at(True)
     parts = {loop: np.concatenate([v.stationary for v in loops[loop].validations]) for loop in LOOPS}
     return {loop: 1e6 * np.sqrt(2) * part.std(axis=0) for loop, part in parts.items()}
 
 
-def _unbalance(results: Results) -> Answer:
+def _unbalance(results: PaperResults) -> Answer:
     x, y = _orbits(results)["open"]
     words = f"synchronous with the shaft, open loop: {x:.2f} um in x, {y:.2f} in y, run-out included"
     return bool(x > 1.1 * y), words
 
 
-def _larger_orbit(results: Results) -> Answer:
+def _larger_orbit(results: PaperResults) -> Answer:
     orbits = _orbits(results)
     (a, b), (c, d) = orbits["open"], orbits["closed"]
     return bool(c > a and d > b), f"{a:.2f} and {b:.2f} um (x, y) without, {c:.2f} and {d:.2f} with the gains"
 
 
-def _turning(results: Results) -> Answer:
+def _turning(results: PaperResults) -> Answer:
     loops = results.impacts_at(True)
     opened, closed = (1e3 * max(q.decay_s for q in loops[loop].figures) for loop in LOOPS)
     return closed < opened / 2, f"95 % of the energy has gone after {opened:.0f} ms, closed {closed:.0f} ms"
 
 
-def _controlled_stack(results: Results) -> Answer:
+def _controlled_stack(results: PaperResults) -> Answer:
     curves = {curve.units[0]: curve for curve, *_ in results.piezos}
     opened, closed = curves["V"], curves["m"]
     creep = [100 * float(np.abs(c.creep[~c.saturated]).mean()) for c in (opened, closed)]
@@ -814,7 +814,7 @@ def _controlled_stack(results: Results) -> Answer:
     return bool(closed.hysteresis < opened.hysteresis / 2 and creep[1] < creep[0] / 2), words
 
 
-ANSWERS: dict[str, Callable[[Results], Answer]] = {
+ANSWERS: dict[str, Callable[[PaperResults], Answer]] = {
     "linear": _linear,
     "coupling": _coupling,
     "runout": _runout,
@@ -844,7 +844,7 @@ ANSWERS: dict[str, Callable[[Results], Answer]] = {
 # ---- Tables that the paper has no figures for: assumptions of ours, with what each choice gives.
 
 
-def computation_rows(results: Results) -> list[list[str | float]]:
+def computation_rows(results: PaperResults) -> list[list[str | float]]:
     """Return the closed-loop modes at the point of the paper: printed, and of its model by time of computation."""
     rate = sample_time(results.experiment)
     machine = results.published_machine
@@ -860,7 +860,7 @@ def computation_rows(results: Results) -> list[list[str | float]]:
     return rows
 
 
-def repeated_rows(results: Results) -> list[list[str | float]]:
+def repeated_rows(results: PaperResults) -> list[list[str | float]]:
     """Return the obtained modes and their standard deviations: of one ring-down fit, and between repeated impacts."""
     rows: list[list[str | float]] = []
     for loop in LOOPS:
@@ -878,7 +878,7 @@ def repeated_rows(results: Results) -> list[list[str | float]]:
     return rows
 
 
-def alternative_rows(results: Results) -> list[list[str | float]]:
+def alternative_rows(results: PaperResults) -> list[list[str | float]]:
     """Return for each reading of a coefficient points with other modes, smallest damping factors, other verdicts."""
     machine = results.published_machine
     published = published_controller(machine)
@@ -896,7 +896,7 @@ def alternative_rows(results: Results) -> list[list[str | float]]:
     return rows
 
 
-def alternative_designs(results: Results) -> list[list[str | float]]:
+def alternative_designs(results: PaperResults) -> list[list[str | float]]:
     """Return P controllers for each reading of a coefficient: gains, and smallest damping factors of the sampled loops.
 
     The dampings are those of the controller tuned for the reading, for the first one, and for all of them.
@@ -919,9 +919,9 @@ _SAID_OF_SURFACES = ("coupling", "longer_delay", "falling_delay", "uncertain_dam
 
 @dataclass(frozen=True, eq=False)
 class _OtherRig:
-    """Results as a rig with another model would give them: its model and surfaces, all else of the run."""
+    """PaperResults as a rig with another model would give them: its model and surfaces, all else of the run."""
 
-    results: Results
+    results: PaperResults
     machine: LPVModel
     surface_fit: LPVFit
 
@@ -929,7 +929,7 @@ class _OtherRig:
         return getattr(self.results, name)
 
 
-def changed_verdicts(results: Results, model: LPVModel) -> list[str]:
+def changed_verdicts(results: PaperResults, model: LPVModel) -> list[str]:
     """Return the ids of rows and sentences about the surfaces whose verdict is another one with another rig.
 
     Each estimate moves by what the models differ by at its operating point, with its errors as they are, and the

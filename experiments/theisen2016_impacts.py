@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from theisen2016_figures import POINT, PaperResults
 
 import gbid
 from gbid.core.arrays import FloatArray
@@ -22,14 +23,13 @@ from gbid.experiment.machine import PlannedRun, rig_run
 from gbid.experiment.run import Job, Task, run_tasks
 from gbid.experiment.stages.impact import planned_impacts, recording_result
 from gbid.report.named import write_shipped
-from gbid.report.read import POINT, Results
 
 LOOPS = ("open", "closed")
 _REPEATS = 20
 """Times that the impacts are recorded again for a standard deviation, which they give to 16 %."""
 
 
-def recorded_again(results: Results, loop: str) -> FloatArray:
+def recorded_again(results: PaperResults, loop: str) -> FloatArray:
     """Return frequency and damping factor of both modes, (n, 2, 2), from impacts that are recorded again.
 
     Each time has its own noise, and its own draws of the scatter between recordings. A fit to one set of recordings
@@ -47,13 +47,13 @@ def recorded_again(results: Results, loop: str) -> FloatArray:
     return modes
 
 
-def ringing_without_noise(results: Results, loop: str) -> FloatArray:
+def ringing_without_noise(results: PaperResults, loop: str) -> FloatArray:
     """Return both modes, (2, 2), of ring-downs without noise and scatter, with as many decays as in the run's fit."""
     return _modes_again(results, loop)[0]
 
 
 @lru_cache(maxsize=4)
-def _modes_again(results: Results, loop: str) -> list[FloatArray]:
+def _modes_again(results: PaperResults, loop: str) -> list[FloatArray]:
     """Return both modes, (2, 2), of each set of impacts; the first one has no noise and no scatter."""
     tasks = [_task(results, loop, i) for i in range(_REPEATS + 1)]
     for outcome in run_tasks(results.job, tasks):
@@ -62,7 +62,7 @@ def _modes_again(results: Results, loop: str) -> list[FloatArray]:
     return [np.loadtxt(task.path, delimiter=",") for task in tasks]
 
 
-def _task(results: Results, loop: str, i: int) -> Task:
+def _task(results: PaperResults, loop: str, i: int) -> Task:
     """Return the task of one set of impacts; its file has a line for each mode, nan when the fit did not converge."""
     experiment = results.job.experiment
     section = needed(experiment.spec.impacts, "impacts")

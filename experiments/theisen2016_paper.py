@@ -25,6 +25,7 @@ from theisen2016_comparison import (
     reproduction,
     sentences,
 )
+from theisen2016_figures import FIGURES, PaperResults
 
 from gbid.control.assessment import comparison_table, conditions_words
 from gbid.control.impact.study import response_rows
@@ -34,9 +35,9 @@ from gbid.core.tables import Column, Entry, Table, csv_text, formatted, markdown
 from gbid.experiment.fields import InputError, Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, Task, produce, run_tasks
 from gbid.lpv.model import TERMS
-from gbid.report.canvas import save_figure
-from gbid.report.named import named_figures, write_shipped
-from gbid.report.read import Results, design_performances
+from gbid.report.canvas import figure_of, save_figure
+from gbid.report.loop_pictures import design_performances
+from gbid.report.named import write_shipped
 from gbid.structure import KEY_PARAMETERS
 
 # ---- Tables of the paper from the results of an experiment: CSV for programs, Markdown for reports.
@@ -45,7 +46,7 @@ _UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
 _PER = ("", "/bar", "/rpm", "/(bar rpm)", "/bar^2", "/rpm^2")
 
 
-def machine_table(results: Results) -> Table:
+def machine_table(results: PaperResults) -> Table:
     """Return the dimensions of the machine (Table 1) from its model file."""
     if not results.published_machine.rig:
         raise DataError(f"the model file of {results.machine.name!r} gives no dimensions of the machine")
@@ -53,7 +54,7 @@ def machine_table(results: Results) -> Table:
     return Table("Table 1: the machine", _columns("dimension", "value", "unit", "source"), rows)
 
 
-def actuator_table(results: Results) -> Table:
+def actuator_table(results: PaperResults) -> Table:
     """Return the nominal actuators (Table 2), with those of the machine's model file."""
     nominal = results.nominal
     known = _published(results)
@@ -65,17 +66,17 @@ def actuator_table(results: Results) -> Table:
     return Table(title, _columns("parameter", "value", "std", "published", "unit"), rows)
 
 
-def frequency_table(results: Results) -> Table:
+def frequency_table(results: PaperResults) -> Table:
     """Return expected and identified natural frequencies (Table 3)."""
     return _mode_table(results, "Table 3: natural frequencies [Hz]", "omega", 0)
 
 
-def damping_table(results: Results) -> Table:
+def damping_table(results: PaperResults) -> Table:
     """Return expected and identified damping factors (Table 4)."""
     return _mode_table(results, "Table 4: damping factors", "zeta", 1)
 
 
-def controller_table(results: Results) -> Table:
+def controller_table(results: PaperResults) -> Table:
     """Return the controllers of the piezos (Table A.5) from the machine's model file."""
     found = results.published_machine.piezo_controllers
     if found is None:
@@ -85,7 +86,7 @@ def controller_table(results: Results) -> Table:
     return Table("Table A.5: controllers of the piezos", columns, rows)
 
 
-def coefficient_table(results: Results) -> Table:
+def coefficient_table(results: PaperResults) -> Table:
     """Return the coefficients of the surfaces (Table B.6), with those of the machine's model file."""
     fit = results.surface_fit
     std = np.sqrt(np.diag(fit.covariance)).reshape(len(KEY_PARAMETERS), len(TERMS))
@@ -99,7 +100,7 @@ def coefficient_table(results: Results) -> Table:
     return Table("Table B.6: coefficients of the surfaces, per kg", columns, rows)
 
 
-def designs_table(results: Results) -> Table:
+def designs_table(results: PaperResults) -> Table:
     """Return the tuned designs and the published one, each at its worst operating point."""
     performances = design_performances(results.tuned)
     first = next(iter(results.tuned.values()))
@@ -107,7 +108,7 @@ def designs_table(results: Results) -> Table:
     return comparison_table(title, performances, conditions_words(first.impact, first.sample_time, first.method))
 
 
-def impacts_table(results: Results) -> Table:
+def impacts_table(results: PaperResults) -> Table:
     """Return measured and simulated responses to the same impact in each loop."""
     shown = (("disc", "µm", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "µm", "piezo", "m", 1e6))
     heads = [Column(f"{what}{word}", unit, 4) for what, unit, *_ in shown for word in ("", " std", " simulated")]
@@ -126,7 +127,7 @@ def impacts_table(results: Results) -> Table:
     return Table(title, [*_columns("where", "loop", "axis"), *heads], rows)
 
 
-def _mode_table(results: Results, title: str, sign: str, j: int) -> Table:
+def _mode_table(results: PaperResults, title: str, sign: str, j: int) -> Table:
     loops = results.impacts_at(False)
     point = next(iter(loops.values())).conditions
     place = (point["pressure_bar"], point["speed_rpm"])
@@ -151,7 +152,7 @@ def _std(ring: Any, i: int, j: int) -> float:
     return float((ring.frequency_std, ring.damping_std)[j][i])
 
 
-def _published(results: Results) -> dict[str, float]:
+def _published(results: PaperResults) -> dict[str, float]:
     return dict(results.machine.actuators) if results.experiment.spec.rig is not None else {}
 
 
@@ -160,7 +161,7 @@ def _columns(*names: str) -> list[Column]:
     return [Column(name, format=4 if name in ("value", "std", "published") else "") for name in names]
 
 
-TABLES: dict[str, Callable[[Results], Table]] = {
+TABLES: dict[str, Callable[[PaperResults], Table]] = {
     "table1_machine": machine_table,
     "table2_actuators": actuator_table,
     "table3_natural_frequencies": frequency_table,
@@ -296,7 +297,7 @@ _TUNED_READINGS = (
     Column("reading"),
     *(Column(name, "", 3) for name in ("kappa_x", "kappa_y", "tuned for it", "tuned for the first", "tuned for all")),
 )
-_PAST: tuple[tuple[str, tuple[Column, ...], Callable[[Results], list[list[str | float]]]], ...] = (
+_PAST: tuple[tuple[str, tuple[Column, ...], Callable[[PaperResults], list[list[str | float]]]], ...] = (
     ("the closed loop and the time for computation, which the paper does not give", _LOOP_MODES, computation_rows),
     ("modes from ring-downs: one set of impacts, and many", _LOOP_MODES, repeated_rows),
     (
@@ -352,10 +353,10 @@ def write_paper(job: Job, kinds: Sequence[str] = KINDS[:1]) -> tuple[list[Outcom
     UsageError
         When a file made from other results exists and must not be replaced.
     """
-    results, sources = Results(job), _sources(job)
+    results, sources = PaperResults(job), _sources(job)
     outcomes: list[Outcome] = []
     left_out: list[LeftOut] = []
-    figures = {name: [_figure_file(job, name, kind, sources) for kind in kinds] for name in named_figures()}
+    figures = {name: [_figure_file(job, name, kind, sources) for kind in kinds] for name in FIGURES}
     kept = {file.path for files in figures.values() for file in files if file.is_made}
     drawn = run_tasks(job, [_figure_task(name, files) for name, files in figures.items()])
     for (name, files), outcome in zip(figures.items(), drawn, strict=True):
@@ -383,7 +384,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     DataError
         When the machine is not the paper's.
     """
-    results, sources = Results(job), _sources(job)
+    results, sources = PaperResults(job), _sources(job)
     rows = reproduction(results)
     document = reproduction_document(rows, sentences(results), past_the_paper(results))
     writers: dict[str, Callable[[], str]] = {
@@ -407,7 +408,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     return outcomes, document
 
 
-def past_the_paper(results: Results) -> list[Table]:
+def past_the_paper(results: PaperResults) -> list[Table]:
     """Return tables without counterpart in the paper, if the results allow them: tuned designs and their impacts."""
     makers = [
         *(partial(_table_past, results, *about) for about in _PAST),
@@ -421,7 +422,10 @@ def past_the_paper(results: Results) -> list[Table]:
 
 
 def _table_past(
-    results: Results, title: str, columns: Sequence[Column], rows: Callable[[Results], list[list[str | float]]]
+    results: PaperResults,
+    title: str,
+    columns: Sequence[Column],
+    rows: Callable[[PaperResults], list[list[str | float]]],
 ) -> Table:
     return Table(title, list(columns), rows(results))
 
@@ -481,7 +485,7 @@ def write_figure(job: Job, part: Path, name: str, files: Sequence[Result]) -> No
         When the results do not allow the figure, for any reason.
     """
     try:
-        figure = named_figures()[name].make(_results(job))
+        figure = figure_of(FIGURES[name](_results(job)))
     except (DataError, UsageError) as error:
         raise InputError(str(error)) from None
 
@@ -496,13 +500,13 @@ def write_figure(job: Job, part: Path, name: str, files: Sequence[Result]) -> No
 
 
 @lru_cache(maxsize=1)
-def _results(job: Job) -> Results:
+def _results(job: Job) -> PaperResults:
     """Return the results, which a worker reads once for all figures."""
-    return Results(job)
+    return PaperResults(job)
 
 
 def _table(
-    job: Job, results: Results, name: str, make: Callable[[Results], Table], sources: list[str]
+    job: Job, results: PaperResults, name: str, make: Callable[[PaperResults], Table], sources: list[str]
 ) -> list[Outcome]:
     table = make(results)
     outcomes = []

@@ -32,6 +32,7 @@ from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_im
 from gbid.report.loop_pictures import (
     damping_map_data,
     designs_pareto_data,
+    plot_cycle,
     plot_damping_map,
     plot_magnitudes,
     plot_pareto,
@@ -235,17 +236,21 @@ def _by_point(design: AssessedDesign) -> Block:
 # ---- Sections on the cycle, on impacts, and on recordings in closed loop.
 
 
-def cycle_section(results: Results) -> PageSection | None:
+def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Return the section with the rounds of the cycle; None when the experiment has none."""
     section = results.experiment.spec.cycle
     if section is None:
         return None
-    block: Block = Words("the cycle is not complete; run `gbid cycle` or `gbid run`", "warn")
+    blocks: list[Block] = [Words("the cycle is not complete; run `gbid cycle` or `gbid run`", "warn")]
     if results.cycle:
-        block = rounds_table(results.cycle)
+        words = (
+            "Rounds of the cycle: smallest damping of the loop on the rig with 95 % intervals, lines as expected from "
+            "the surfaces of the round; standard deviations of the modes of the bearing, relative to round 0"
+        )
+        blocks = [rounds_table(results.cycle), Shown(pictures.picture(plot_cycle(results.cycle), words))]
     elif not section.in_run:
-        block = Words("`gbid cycle` runs the rounds; `gbid run` leaves them out")
-    return PageSection("cycle", "Cycle", [block])
+        blocks = [Words("`gbid cycle` runs the rounds; `gbid run` leaves them out")]
+    return PageSection("cycle", "Cycle", blocks)
 
 
 def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:

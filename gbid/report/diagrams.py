@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyBboxPatch
 
 from gbid.report.canvas import BLACK, TWO_COLUMNS, one_panel, styled
-from gbid.report.named import NamedFigure
 
 # ---- Elements of block diagrams: blocks, sums, wires and labels.
 
@@ -286,11 +285,3 @@ def plot_closed_loop(ax: Axes | None = None) -> Axes:
     wire(ax, [(gains.left[0], 0.38), (1.6, 0.38), (1.6, rows["y"] - 0.13)])
     wire(ax, [(gains.left[0], 0.62), (1.15, 0.62), (1.15, 2.6), (1.6, 2.6), (1.6, rows["x"] - 0.13)])
     return ax
-
-
-FIGURES = (
-    NamedFigure("fig03_differential_pairing", lambda _: plot_differential_pairing()),
-    NamedFigure("fig04_identification_flow", lambda _: plot_identification_flow()),
-    NamedFigure("fig06_rotor_bearing_model", lambda _: plot_rotor_bearing_model()),
-    NamedFigure("fig19_closed_loop", lambda _: plot_closed_loop()),
-)

@@ -47,8 +47,8 @@ def explorer_part(model: LPVModel, words: str, designs: Sequence[tuple[str, Any,
     corner = buttons[-1][-1] if buttons else _CORNER_HZ
     ranges = model.domain.pressure_bar, model.domain.speed_rpm
     points = model.operating_points or [[sum(ends) / 2 for ends in ranges]]
-    every = -(-len(points) // _MOST_POINTS)
-    grids = [{"label": point_label(*point), **loop_grid(model, point, corner)} for point in points[::every]]
+    spread = np.unique(np.linspace(0, len(points) - 1, _MOST_POINTS).round().astype(int))
+    grids = [{"label": point_label(*point), **loop_grid(model, point, corner)} for point in (points[i] for i in spread)]
     shown = [("no feedback", 0.0, 0.0), *((name, x, y) for name, x, y, own in buttons if own == corner)]
     data = {"gains": GAINS.tolist(), "points": grids, "designs": shown, "cap": PEAK_SENSITIVITY}
     return Templated("explorer.html.j2", {"words": words, "corner": corner, "data": data})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,8 +15,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
-from gbid.report.named import NamedFigure
-from gbid.report.read import Results, place_of
+from gbid.report.read import place_of
 
 # ---- Responses of the disc to an impact, with the force (paper, Figs. 22 to 27).
 
@@ -175,15 +173,6 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
     raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {axes}")
 
 
-def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: Results) -> npt.NDArray[np.object_]:
-    loops = results.impacts_at(rotating)
-    return plot_impact(impact_data(loops["open"], loops["closed"], axis))
-
-
-def _plot_validation(axis: Literal["x", "y"], results: Results) -> npt.NDArray[np.object_]:
-    return plot_impact(impact_validation_data(results.impacts_at(False)["closed"], axis))
-
-
 _BEFORE_S = 5e-3
 
 
@@ -289,15 +278,3 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> np
     figure.align_ylabels(axes)
     legend_above(figure, axes, title=data.title)
     return axes
-
-
-FIGURES = (
-    NamedFigure("fig22_impact_x", partial(_plot_both_loops, "x", False)),
-    NamedFigure("fig23_impact_y", partial(_plot_both_loops, "y", False)),
-    NamedFigure("fig24_impact_model_x", partial(_plot_validation, "x")),
-    NamedFigure("fig25_impact_model_y", partial(_plot_validation, "y")),
-    NamedFigure("fig26_impact_turning_x", partial(_plot_both_loops, "x", True)),
-    NamedFigure("fig27_impact_turning_y", partial(_plot_both_loops, "y", True)),
-    NamedFigure("designs_impacts", lambda r: plot_impact_loops(impact_loops_data(r.beside_at(False)))),
-    NamedFigure("designs_impacts_turning", lambda r: plot_impact_loops(impact_loops_data(r.beside_at(True)))),
-)

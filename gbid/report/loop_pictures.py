@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from gbid.control.assessment import TunedDesign
+from gbid.control.assessment import DesignFigures, TunedDesign, assessed_alike
 from gbid.control.loop.close import close_loop, smallest_damping
-from gbid.control.loop.sensitivity import SensitivityData, sensitivity_data
+from gbid.control.loop.sensitivity import SensitivityData
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError
@@ -34,15 +33,6 @@ from gbid.report.canvas import (
     panels,
     series,
     styled,
-)
-from gbid.report.named import NamedFigure
-from gbid.report.read import (
-    Results,
-    comparable_designs,
-    design_performances,
-    published_controller,
-    published_gains,
-    shown_point,
 )
 from gbid.structure import LinearModel
 
@@ -336,16 +326,34 @@ def plot_magnitudes(
     return axes
 
 
-def _plot_published_loop(curves: Literal["sensitivity", "bode"], results: Results) -> npt.NDArray[np.object_]:
-    """Draw curves of the identified model in the loop with the published controller."""
-    point = shown_point(results.identified)
-    plant, d = results.identified.plant_at(*point), published_gains(results.published_machine)
-    gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
-    data = sensitivity_data(plant, published_controller(results.published_machine))
-    return plot_magnitudes(data, curves=curves, title=f"{point_label(*point)}; {gains}")
-
-
 # ---- Pareto front of robustness and damping.
+
+
+def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
+    """Return the designs with the same assessment and objective as the first one.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    if not designs:
+        raise DataError("there is no tuned design of the present settings and fits; run `gbid tune` or `gbid run`")
+    group = assessed_alike(designs)[0]
+    aims = {name: (design.result.objective, design.result.sample_time) for name, design in group.items()}
+    return {name: design for name, design in group.items() if aims[name] == aims[next(iter(group))]}
+
+
+def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
+    """Return the performance of comparable designs, the published controller last.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    chosen = list(comparable_designs(designs).values())
+    return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -545,18 +553,3 @@ def _relative(row: CycleRow, name: str) -> float:
     if name == "damping":
         return float(np.hypot(row.model_damping_1_std, row.model_damping_2_std))
     return float(np.hypot(row.model_frequency_1_hz_std, row.model_frequency_2_hz_std))
-
-
-FIGURES = (
-    NamedFigure("fig20_sensitivities", partial(_plot_published_loop, "sensitivity")),
-    NamedFigure("fig21_bode", partial(_plot_published_loop, "bode")),
-    NamedFigure("designs_pareto", lambda results: plot_pareto(designs_pareto_data(results.tuned))),
-    NamedFigure("designs_robust", lambda results: plot_robustness_price(results.tuned)),
-    NamedFigure(
-        "cycle",
-        lambda results: plot_cycle(results.cycle),
-        words="Rounds of the cycle: smallest damping of the loop on the rig with 95 % intervals, lines as expected "
-        "from the surfaces of the round; standard deviations of the modes of the bearing, relative to round 0",
-        section="cycle",
-    ),
-)

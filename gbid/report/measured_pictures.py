@@ -15,11 +15,8 @@ from matplotlib.ticker import MaxNLocator
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import UsageError
 from gbid.core.tables import probability
-from gbid.experiment.experiment import fit_models, recordings_of
-from gbid.experiment.stages.crossval import validate_pair
-from gbid.experiment.stages.fit import fit_result
 from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.recording import Recording
 from gbid.report.canvas import (
@@ -39,8 +36,7 @@ from gbid.report.canvas import (
     symbol,
     unit_label,
 )
-from gbid.report.named import NamedFigure
-from gbid.report.read import Results, place_of
+from gbid.report.read import place_of
 from gbid.validate import NominalActuator, ResidualTest, Validation, ValidationSummary
 
 _ROWS = (("kappa", "\\kappa_{a,%s}", "m/m", 1.0), ("p1", "p_{1,%s}", "rad/s", 1.0), ("p2", "p_{2,%s}", "krad/s", 1e-3))
@@ -514,25 +510,6 @@ def _title(validation: Validation) -> str:
     return f"{point}: {on}" if point else on
 
 
-_ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
-
-
-def _response_of_bearing(results: Results) -> npt.NDArray[np.object_]:
-    """Draw a bearing model on its own recording, at the paper's operating point or the first (Fig. 7)."""
-    name = results.fit_with("rotor_bearing")
-    made = [
-        model
-        for model in fit_models(results.experiment, name)
-        if fit_result(results.experiment, name, model).path.is_file()
-    ]
-    if not made:
-        raise DataError(f"no model of fit {name!r} is there; run `gbid fit` or `gbid run`")
-    model = next((m for m in made if m.startswith("p5_n6000_")), made[0])
-    validation = validate_pair(results.job, name, model, recordings_of(results.experiment, name, model)[0])
-    from_s, to_s = _ZOOM if validation.time[-1] >= _ZOOM[1] else (None, None)
-    return plot_response(validation, from_s=from_s, to_s=to_s)
-
-
 # ---- Static map from piezo positions to disc position (paper, Fig. 5).
 
 
@@ -575,14 +552,3 @@ def plot_static_map(result: StaticMap, ax: Sequence[Axes] | None = None) -> npt.
     figure.align_ylabels(axes)
     legend_above(figure, axes, title=place_of(result.conditions))
     return axes.reshape(shape)
-
-
-FIGURES = (
-    NamedFigure("fig08_actuator_parameters", lambda r: plot_actuator_parameters(r.nominal)),
-    NamedFigure("fig09_crossval_bearing", lambda r: plot_fit_histogram(r.summary("rotor_bearing"))),
-    NamedFigure("fig10_crossval_actuators", lambda r: plot_fit_histogram(r.summary("piezo_pair"))),
-    NamedFigure("figA28_piezo_hysteresis", lambda r: plot_piezo_hysteresis([piezo_data(*q) for q in r.piezos])),
-    NamedFigure("figA29_piezo_staircase", lambda r: plot_piezo_staircase([piezo_data(*q) for q in r.piezos])),
-    NamedFigure("fig07_identification", _response_of_bearing),
-    NamedFigure("fig05_static_map", lambda r: plot_static_map(r.static_map)),
-)

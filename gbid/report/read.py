@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
@@ -24,10 +24,10 @@ from gbid.experiment.controllers import (
 )
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.fields import Item, content_key, stored_key
-from gbid.experiment.machine import rig_machine, rig_model
-from gbid.experiment.recordings import RecordingSignals, load_made, read_signals
+from gbid.experiment.machine import rig_model
+from gbid.experiment.recordings import RecordingSignals, read_signals
 from gbid.experiment.run import Job, Outcome, Task, standing
-from gbid.experiment.schema import ControllerSection, wanted_signals
+from gbid.experiment.schema import ControllerSection
 from gbid.experiment.stages.crossval import CrossvalRow, nominal_of, read_crossval, read_summary
 from gbid.experiment.stages.cycle import CycleRow, made_rows
 from gbid.experiment.stages.fit import FIT, made_document
@@ -39,10 +39,8 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
-from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
 from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.prefilter.filtering import correction_rows, read_report
-from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
@@ -157,33 +155,6 @@ def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDe
     return (AssessedDesign(*about, *conditions, came=True),)
 
 
-def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
-    """Return the designs with the same assessment and objective as the first one.
-
-    Raises
-    ------
-    DataError
-        When there are no designs.
-    """
-    if not designs:
-        raise DataError("there is no tuned design of the present settings and fits; run `gbid tune` or `gbid run`")
-    group = assessed_alike(designs)[0]
-    aims = {name: (design.result.objective, design.result.sample_time) for name, design in group.items()}
-    return {name: design for name, design in group.items() if aims[name] == aims[next(iter(group))]}
-
-
-def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
-    """Return the performance of comparable designs, the published controller last.
-
-    Raises
-    ------
-    DataError
-        When there are no designs.
-    """
-    chosen = list(comparable_designs(designs).values())
-    return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
-
-
 # ---- Existing fits with the documents that tables show.
 
 
@@ -224,40 +195,10 @@ def read_fit(job: Job, fit: str, model: str) -> MadeFit:
     return MadeFit(fit, model, points.pop() if len(points) == 1 else "", document)
 
 
-# ---- Controller of the paper on its machine, and the operating point of its figures.
-
-POINT = (6.0, 0.0)
-"""Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
-
-
-def published_gains(machine: PublishedMachine) -> ProportionalDesign:
-    """Return the published gains and low-pass of a machine.
-
-    Raises
-    ------
-    DataError
-        When the machine has none.
-    """
-    if machine.controller is None:
-        raise DataError(f"machine {machine.model.name!r} comes with no controller; add one to its model file")
-    return machine.controller
-
-
-def published_controller(machine: PublishedMachine) -> LinearModel:
-    """Return the controller of `published_gains`."""
-    d = published_gains(machine)
-    return control.p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
-
-
 def place_of(conditions: Mapping[str, float]) -> str:
     """Return the operating point of conditions as text; empty when pressure or speed is unknown."""
     known = {"pressure_bar", "speed_rpm"} <= set(conditions)
     return point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
-
-
-def shown_point(model: lpv.LPVModel) -> tuple[float, float]:
-    """Return the operating point for pictures of the loop: that of the paper if inside the domain, else the first."""
-    return POINT if model.domain.contains(*POINT) else model.operating_points[0]
 
 
 # ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.
@@ -352,9 +293,6 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
 
 # ---- Results of an experiment: each is loaded at its first use; nothing is computed.
 
-PUBLISHED = "theisen2016"
-Kind = TypeVar("Kind", "StaticMap", "PiezoCurve")
-
 
 @dataclass(frozen=True, eq=False)
 class Results:
@@ -383,23 +321,6 @@ class Results:
         """Model behind the rig; None for recordings of a real machine."""
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
 
-    @property
-    def published_machine(self) -> PublishedMachine:
-        """Machine file of the rig, which must exist: the model, and what its source publishes beside it."""
-        if self.experiment.spec.rig is None:
-            raise DataError("this experiment has no virtual rig, so there is no description of the machine")
-        return rig_machine(self.experiment)
-
-    @property
-    def machine(self) -> lpv.LPVModel:
-        """Model behind the rig, which must exist."""
-        return self.published_machine.model
-
-    @property
-    def published(self) -> bool:
-        """Whether the machine is that of the paper."""
-        return self.rig is not None and self.rig.name == PUBLISHED
-
     # ------------------------------------------------------------ recordings and fits
 
     @cached_property
@@ -426,11 +347,6 @@ class Results:
         made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "there"]
         return tuple(read_fit(self.job, item.section, item.model) for item in made)
 
-    def fit_with(self, structure: str) -> str:
-        """Return the name of the first fit with a structure."""
-        names = (name for name, section in self.experiment.spec.fits.items() if section.structure == structure)
-        return _first(names, f"no fit with structure {structure!r}; add one to section 'fits'")
-
     # ------------------------------------------------------------ cross-validation and nominal actuator
 
     @cached_property
@@ -443,15 +359,6 @@ class Results:
             if summary is not None:
                 validated[name] = rows, summary
         return validated
-
-    def summary(self, structure: str) -> validate.ValidationSummary:
-        """Return the cross-validation of the first fit with a structure."""
-        name = self.fit_with(structure)
-        if name not in self.experiment.spec.crossval:
-            raise DataError(f"no cross-validation of fit {name!r}; add it to section 'crossval'")
-        if name not in self.crossval:
-            raise DataError(f"the cross-validation of fit {name!r} is missing; run `gbid crossval` or `gbid run`")
-        return self.crossval[name][1]
 
     @cached_property
     def nominal(self) -> validate.NominalActuator:
@@ -467,21 +374,6 @@ class Results:
         """Existing surfaces over pressure and speed, by item."""
         return read_surfaces(self.job)
 
-    @property
-    def surface_fit(self) -> lpv.LPVFit:
-        """Surfaces fitted to the fits."""
-        if self.experiment.spec.lpv is None:
-            raise DataError("no section 'lpv'; add one")
-        return _first(self.surfaces.values(), "there are no surfaces of the present fits; run `gbid lpv` or `gbid run`")
-
-    @property
-    def identified(self) -> lpv.LPVModel:
-        """Identified model of bearing and actuators."""
-        model = self.surface_fit.model
-        if not model.actuators:
-            raise DataError("the surfaces have no actuators; write `actuators: nominal` into section 'lpv'")
-        return model
-
     # ------------------------------------------------------------ static characterisation
 
     @cached_property
@@ -490,29 +382,6 @@ class Results:
         return read_tasks(
             self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item.section)
         )
-
-    @property
-    def static_map(self) -> StaticMap:
-        """First static characterisation of the bearing."""
-        return next(iter(self._statics("bearing", StaticMap).values()))
-
-    @property
-    def piezos(self) -> list[tuple[PiezoCurve, Recording, str, str | None]]:
-        """Characterised piezos with recording, and signal and channel of the command."""
-        piezos = []
-        for name, curve in self._statics("piezo", PiezoCurve).items():
-            section = self.experiment.spec.static[name]
-            recording = load_made(self.job, self.experiment.matching(section.recordings)[0])
-            piezos.append((curve, recording, wanted_signals(section)["command"], section.command_channel))
-        return piezos
-
-    def _statics(self, kind: str, result: type[Kind]) -> dict[str, Kind]:
-        """Return all characterisations of a kind; at least one must be planned, and all must exist."""
-        planned = [name for name, section in self.experiment.spec.static.items() if section.kind == kind]
-        if not planned:
-            raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
-        _all_there({name: why for name, why in self.statics.missing.items() if name in planned})
-        return {name: q for name, q in self.statics.made.items() if isinstance(q, result)}
 
     # ------------------------------------------------------------ designs and impacts
 
@@ -523,15 +392,6 @@ class Results:
             return StageResults(*read_designs(self.job))
         except GbidError as error:
             return StageResults({}, dict.fromkeys(self.experiment.spec.controller, str(error)))
-
-    @property
-    def tuned(self) -> Mapping[str, TunedDesign]:
-        """Tuned designs by name, at least one."""
-        if not self.experiment.spec.controller:
-            raise DataError("no section 'controller'; add one")
-        if not self.designs.made:
-            raise DataError("; ".join(f"design {name}: {why}" for name, why in self.designs.missing.items()))
-        return self.designs.made
 
     @cached_property
     def assessed(self) -> tuple[AssessedDesign, ...]:
@@ -576,55 +436,12 @@ class Results:
             points.setdefault(point, {})[study.loop] = study
         return list(points.values())
 
-    def impacts_at(self, rotating: bool) -> dict[str, control.ImpactStudy]:
-        """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
-        points = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
-        return self._loops_at(points, rotating, "in open and closed loop ")
-
-    def beside_at(self, rotating: bool) -> dict[str, control.ImpactStudy]:
-        """Return the impact studies with further controllers at such a point, by their labels in figures."""
-        return self._loops_at(self.beside, rotating, "")
-
-    @property
-    def beside(self) -> list[dict[str, control.ImpactStudy]]:
-        """Impact studies of the points with further controllers, by their labels in figures."""
-        self._need_impacts()
-        points = [self.labelled(loops) for loops in self.loops if set(loops) - {"open", "closed"}]
-        if not points:
-            raise DataError("no impacts with further controllers; name some under 'beside' in section 'impacts'")
-        return points
-
     def labelled(self, loops: Mapping[str, control.ImpactStudy]) -> dict[str, control.ImpactStudy]:
         """Return the impact studies of one point by their labels in figures."""
         section = self.experiment.spec.impacts
         paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
         names = {"open": "open loop", "closed": paper}
         return {names.get(loop, loop): study for loop, study in loops.items()}
-
-    def _loops_at(
-        self, points: list[dict[str, control.ImpactStudy]], rotating: bool, what: str
-    ) -> dict[str, control.ImpactStudy]:
-        self._need_impacts()
-        matching = (q for q in points if bool(next(iter(q.values())).conditions["speed_rpm"]) == rotating)
-        why = "".join(f"; {text}" for text in self.studies.missing.values())
-        return _first(matching, f"no impacts {what}{'with a turning shaft' if rotating else 'at rest'}{why}")
-
-    def _need_impacts(self) -> None:
-        if self.experiment.spec.impacts is None:
-            raise DataError("no section 'impacts'; add one")
-        if not self.studies.made:
-            _all_there(self.studies.missing)
-
-
-def _first(values: Iterable[Value], otherwise: str) -> Value:
-    for value in values:
-        return value
-    raise DataError(otherwise)
-
-
-def _all_there(missing: Mapping[str, str]) -> None:
-    if missing:
-        raise DataError("; ".join(missing.values()))
 
 
 # ---- Report: the key of what it shows.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -32,8 +31,6 @@ from gbid.report.canvas import (
     styled,
     symbol,
 )
-from gbid.report.named import NamedFigure
-from gbid.report.read import Results
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.built_in import PAIRS
 
@@ -209,12 +206,6 @@ def fit_over_pressure_data(fit: LPVFit, what: Quantity, *, sample_time: float = 
     return over_pressure_data(
         fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates, sample_time=sample_time
     )
-
-
-def _plot_quantity(what: Quantity, results: Results, only: str = "") -> npt.NDArray[np.object_]:
-    rig = results.experiment.spec.rig
-    data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
-    return plot_over_pressure([panel for panel in data if panel.name.startswith(only)])
 
 
 # ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
@@ -410,15 +401,3 @@ def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surfa
     names = [f"{letter}_{pair}" for pair in PAIRS]
     estimates = dict(zip(KEY_PARAMETERS, fit.estimates.values.T, strict=True))
     return surfaces_data(fit.model, names, points=fit.estimates.points, estimates=estimates)
-
-
-FIGURES = (
-    NamedFigure("fig14_delay_x", partial(_plot_quantity, "delay", only="tau_x")),
-    NamedFigure("fig15_delay_y", partial(_plot_quantity, "delay", only="tau_y")),
-    NamedFigure("fig16_natural_frequencies", partial(_plot_quantity, "frequency")),
-    NamedFigure("fig17_damping_factors", partial(_plot_quantity, "damping")),
-    NamedFigure("fig18_static_gains", partial(_plot_quantity, "gain")),
-    NamedFigure("fig11_stiffness", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "k"))),
-    NamedFigure("fig12_damping", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "d"))),
-    NamedFigure("fig13_input_gain", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "b"))),
-)

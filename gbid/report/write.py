@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from gbid.core.errors import DataError, UsageError
 from gbid.experiment.fields import Item, Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.identify.start.black_box import SubspaceOrders
@@ -17,8 +16,7 @@ from gbid.report.control_sections import (
     impacts_section,
     loops_section,
 )
-from gbid.report.named import named_figures
-from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, Words, render
+from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, render
 from gbid.report.pictures import plot
 from gbid.report.read import REPORT, Results, made_keys, report_key
 from gbid.report.sections import (
@@ -126,20 +124,19 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
     """
     pictures, kept = Pictures(), {} if kept is None else kept
     static, surfaces, controller, impacts = _late_sections(results, kept)
-    named = partial(_with_named, results=results, pictures=pictures)
     middle: list[PageSection | None] = [
-        named(summary_section(results, warnings(results), pictures)),
-        named(quality_section(results)),
+        summary_section(results, warnings(results), pictures),
+        quality_section(results),
         static,
-        named(fits_section(results, pictures, beside, kept)),
-        named(loops_section(results)),
-        named(validation_section(results, pictures)),
-        named(nominal_section(results, pictures)),
+        fits_section(results, pictures, beside, kept),
+        loops_section(results),
+        validation_section(results, pictures),
+        nominal_section(results, pictures),
         surfaces,
         controller,
         impacts,
-        named(cycle_section(results)),
-        named(origin_section(results)),
+        cycle_section(results, pictures),
+        origin_section(results),
     ]
     spec = results.experiment.spec
     sections = [section for section in middle if section is not None]
@@ -153,23 +150,9 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
     stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
     pictures = Pictures("late")
     drawn: list[PageSection | None] = drawn_once(
-        kept, "late", stand, lambda: [_with_named(section(results, pictures), results, pictures) for section in _LATE]
+        kept, "late", stand, lambda: [section(results, pictures) for section in _LATE]
     )
     return drawn
-
-
-def _with_named(section: PageSection | None, results: Results, pictures: Pictures) -> PageSection | None:
-    """Return a section with the figures appended that name it."""
-    if section is None:
-        return None
-    blocks = list(section.blocks)
-    for figure in named_figures().values():
-        if figure.section == section.id:
-            try:
-                blocks.append(Shown(pictures.picture(figure.make(results), figure.words)))
-            except (DataError, UsageError) as error:
-                blocks.append(Words(f"{figure.words}: {error}", "warn"))
-    return replace(section, blocks=blocks)
 
 
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:

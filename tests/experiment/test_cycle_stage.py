@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from experiment_files import write_quick
+from figure_cases import BlankPictures
 
 import gbid
 from gbid import load
@@ -105,7 +106,7 @@ def test_rows_are_read_as_written_and_shown(cycled, tmp_path):
     assert read_values(tmp_path / "cycle.csv", CycleRow) == rows
     axes = plot_cycle(rows)
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["promised by the design", "6 bar, 0 rpm"]
-    section = cycle_section(Results(cycled))
+    section = cycle_section(Results(cycled), BlankPictures())
     assert len(section.blocks[0].rows) == 2
 
 

@@ -31,8 +31,7 @@ from gbid.experiment.run import Job
 from gbid.lpv import characteristics, fit_lpv, load_machine
 from gbid.lpv.estimates import Estimates
 from gbid.lpv.model import CHARACTERISTICS
-from gbid.report.named import comparison, named_figures, paper
-from gbid.report.read import Results
+from gbid.report.named import comparison, paper
 from gbid.rig import RotorBearingTruth, Scatter
 from gbid.rig.machine import scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
@@ -484,8 +483,7 @@ def small(tmp_path_factory):
 def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch, capsys):
     path, out = small
     wanted = ("fig03_differential_pairing", "fig09_crossval_bearing", "fig11_stiffness", "fig20_sensitivities")
-    figures = named_figures()
-    monkeypatch.setattr(paper_files, "named_figures", lambda: {name: figures[name] for name in wanted})
+    monkeypatch.setattr(paper_files, "FIGURES", {name: paper_files.FIGURES[name] for name in wanted})
     formats = [word for kind in ("pdf", "svg", "png") for word in ("--format", kind)]
     document = json_of(capsys, "paper", path, "--only", "figures", "--results", out, *formats)
     left_out = {row["item"]: row["why"] for row in document["left_out"]}
@@ -521,7 +519,7 @@ def test_a_full_disk_is_not_a_figure_left_out(small, tmp_path, monkeypatch, caps
 
 def test_tables_hold_what_the_model_file_says(small):
     path, out = small
-    results = Results(Job(load_experiment(path, out)))
+    results = paper().PaperResults(Job(load_experiment(path, out)))
     table = paper_files.actuator_table(results)
     rows = [dict(zip((column.heading for column in table.columns), row, strict=True)) for row in table.rows]
     assert {row["parameter"]: row["published"] for row in rows} == dict(machine().actuators)
@@ -534,7 +532,7 @@ def test_tables_hold_what_the_model_file_says(small):
 def test_rows_without_results_are_missing_with_the_reason(small, monkeypatch, capsys):
     path, out = small
     monkeypatch.setattr(paper_files, "_PAST", paper_files._PAST[:3])  # controllers for each reading take long
-    rows = {row.number.id: row for row in reproduction(Results(Job(load_experiment(path, out))))}
+    rows = {row.number.id: row for row in reproduction(paper().PaperResults(Job(load_experiment(path, out))))}
     assert rows["bearing_mean_x"].verdict != "missing"
     assert rows["rms_omega_1"].why == "no section 'lpv'; add one"
     assert "static" in rows["static_rms_xx"].why
@@ -559,7 +557,7 @@ def test_another_machine_has_no_reproduction(tmp_path):
     path = tmp_path / "experiment.yaml"
     path.write_text(QUICK.replace("rig:\n", "rig:\n  model: own.yaml\n"))
     with pytest.raises(DataError, match="theisen2016"):
-        reproduction(Results(Job(load_experiment(path, tmp_path / "out"))))
+        reproduction(paper().PaperResults(Job(load_experiment(path, tmp_path / "out"))))
 
 
 def test_staircases_are_made_where_they_are_asked_for(tmp_path):

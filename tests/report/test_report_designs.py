@@ -23,8 +23,8 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report import write as report_file
 from gbid.report.control_sections import held_back
+from gbid.report.loop_pictures import comparable_designs
 from gbid.report.named import comparison, paper
-from gbid.report.read import Results, comparable_designs
 from gbid.report.sections import static_section
 from gbid.report.write import write_report
 
@@ -58,7 +58,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(made):
-    return Results(Job(load_experiment(made)))
+    return paper().PaperResults(Job(load_experiment(made)))
 
 
 @pytest.fixture(scope="module")
@@ -152,22 +152,22 @@ def test_faults_of_designs_stand_on_top(page, results) -> None:
 
 def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> None:
     other = write_quick(tmp_path, ("peak_sensitivity: 2.0", "peak_sensitivity: 1.9"), text=YAML)
-    computed = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).tuned
+    computed = paper().PaperResults(Job(load_experiment(other, made.parent / "results" / "designs"))).tuned
     assert list(computed) == ["held", "elsewhere"]
     with pytest.raises(DataError, match="design feedback: not made yet; `gbid tune` makes it"):
-        assert Results(Job(load_experiment(other, tmp_path / "out"))).tuned
+        assert paper().PaperResults(Job(load_experiment(other, tmp_path / "out"))).tuned
 
 
 def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     path = write_quick(tmp_path, text=STAIRS)
-    early = static_section(Results(Job(load_experiment(path))), BlankPictures())
+    early = static_section(paper().PaperResults(Job(load_experiment(path))), BlankPictures())
     assert "static film not there; run `gbid static`" in early.blocks[0].text
     for verb in ("rig", "static"):
         assert command(verb, path) == 0
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
     section = page[page.index('id="static"') : page.index('id="fits"')]
-    results = Results(Job(load_experiment(path)))
+    results = paper().PaperResults(Job(load_experiment(path)))
     assert engineering(results.static_map.gain[0, 0]) in section
     assert f"{1e6 * results.piezos[0][0].hysteresis:.2f} µm in open loop" in section
     assert section.count("<svg") == 3
