@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -90,8 +90,10 @@ class Brief:
     """Base of results that describe themselves: in a few lines in the shell, by tables on pages and in notebooks.
 
     A result of any size prints at most a screen. Subclasses choose in `_brief` what is shown; by default it is the
-    fields. In a notebook, tables that fit on a screen stand in place of these lines.
+    fields. In a notebook, tables follow if they fit on a screen.
     """
+
+    _in_tables: ClassVar[tuple[str, ...]] = ()  # rows of the description that the tables of a value have, too
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Keep `@dataclass` from giving the subclass a repr that prints all its arrays."""
@@ -110,7 +112,8 @@ class Brief:
         about, tables = self._brief(), self.tables()
         if not tables or sum(len(table.rows) for table in tables) > _LONG:
             return about.html()
-        return replace(about, rows={}).html() + "".join(map(html_table, tables))
+        rows = {name: text for name, text in about.rows.items() if name not in self._in_tables}
+        return replace(about, rows=rows).html() + "".join(map(html_table, tables))
 
     def _brief(self) -> Description:
         names = [field.name for field in fields(self) if not field.name.startswith("_")]  # type: ignore[arg-type]  # all are

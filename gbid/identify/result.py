@@ -546,6 +546,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         ]
         return Table("", columns, rows)
 
+    _in_tables = ("parameters",)
+
     def document(self) -> Row:
         """Return estimates, uncertainty and diagnosis as plain values, for JSON."""
         return fit_document(self)

@@ -147,7 +147,8 @@ def _validation_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]
     """Yield the pairs of each fit, unless they are many, and their summary."""
     for name, _, summary in _summaries(outcomes):
         rows = read_crossval(job, name)
-        yield from titled(name, [*([pair_table(rows)] if len(rows) <= _ROWS else []), *summary.tables()])
+        pairs = [pair_table(rows)] if len(rows) <= _ROWS else []
+        yield from [*titled(name, pairs), *titled(name, summary.tables())]
 
 
 def _nominal(job: Job, outcomes: Sequence[Outcome]) -> Document:

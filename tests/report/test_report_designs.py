@@ -166,7 +166,7 @@ def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None
     for verb in ("rig", "static"):
         assert command(verb, path) == 0
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
-    section = page[page.index('id="static"') : page.index('id="fits"')]
+    section = page[page.index('id="static"') :].partition("</section>")[0]
     results = paper().PaperResults(Job(load_experiment(path)))
     assert engineering(results.static_map.gain[0, 0]) in section
     assert f"{1e6 * results.piezos[0][0].hysteresis:.2f} µm in open loop" in section
