@@ -1,4 +1,4 @@
-"""Another package adds a file format and an export target by entry points, without a change here."""
+"""Another package adds a file format, an export target and a structure by entry points, without a change here."""
 
 from __future__ import annotations
 
@@ -46,6 +46,22 @@ wrong = others_rig:lag
 names = others_rig:names
 wrong = others_rig:lag
 broken = no_such_module:target
+
+[gbid.structures]
+lag = others_rig:lag
+"""
+EXPERIMENT = """\
+format: 1
+name: own
+import:
+  data_folder: data
+  recordings:
+    - name: one
+      file: one.bars
+      sample_time_s: 1.0e-2
+      signals: {u: {columns: [a], unit: V, stored_unit: V}, y: {columns: [b], unit: V, stored_unit: V}}
+fits:
+  lag: {structure: lag, focus: simulation}
 """
 
 
@@ -82,6 +98,14 @@ def test_its_target_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (path,) = json_of(capsys, "export", "theisen2016", "--to", "names", "--output", tmp_path / "out")["files"]
     assert Path(path).read_text() == "LPVModel"
     assert "names" not in printed_by(capsys, "export", "theisen2016", "--to", "name", code=2).err  # not gbid's own
+
+
+def test_its_structure_is_fitted_in_an_experiment(measured: Path, tmp_path: Path, capsys) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(EXPERIMENT, encoding="utf-8")
+    json_of(capsys, "run", str(path))
+    fit = gbid.load(next(tmp_path.rglob("lag/**/*.h5")))
+    assert fit.parameters["a"] == pytest.approx(5.0, rel=1e-6)
 
 
 def test_what_it_offers_wrongly_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
