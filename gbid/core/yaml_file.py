@@ -192,8 +192,10 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
             sizes[id(node)] = 0
             if isinstance(node, dict) and any(isinstance(key, dict | list | tuple | set) for key in node):
                 raise UsageError(f"{path}: a key is a list or a mapping; give names as keys")
-            inside = [*node, *node.values()] if isinstance(node, dict) else node
-            sizes[id(node)] = 1 + sum(size(each, depth + 1) for each in inside)
+            total = 1
+            for each in (*node, *node.values()) if isinstance(node, dict) else node:
+                total += size(each, depth + 1)
+            sizes[id(node)] = total
         return sizes[id(node)]
 
     if size(tree, 0) > _ALIASED + 10 * length:
@@ -203,9 +205,9 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
 def plain(value: Any) -> Any:
     """Return plain dicts, lists, numbers and text from ruamel's annotated ones; a value with an unknown tag is text."""
     if isinstance(value, dict):
-        return {plain(k): plain(v) for k, v in value.items()}
+        return dict(zip(map(plain, value), map(plain, value.values()), strict=True))
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [*map(plain, value)]
     for kind in (bool, int, float, str):
         if isinstance(value, kind):
             return kind(value)

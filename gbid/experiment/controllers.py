@@ -17,7 +17,7 @@ from gbid.core.hdf5 import load
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import InputError, Item, Result, about, file_digest, needed, stored_key
 from gbid.experiment.machine import PlannedRun, machine_data, rig_machine, rig_model
-from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
+from gbid.experiment.rig_schema import ControllerChoice, ControllerName, LoopSection, Place
 from gbid.experiment.schema import (
     ControllerSection,
     TargetSection,
@@ -366,7 +366,7 @@ def controller_key(experiment: Experiment, loop: str) -> str:
     return _source_key(experiment, word, lambda name: file_digest(_controller_file(experiment, name)))
 
 
-def _word_of(experiment: Experiment, loop: str) -> str:
+def _word_of(experiment: Experiment, loop: str) -> ControllerName:
     section = needed(experiment.spec.impacts, "impacts")
     return {"closed": section.controller, **section.beside}[loop]
 
@@ -406,13 +406,8 @@ def running_controller(
     return LoopController(continuous, sampled, controller)
 
 
-def is_tuned(word: str) -> bool:
-    """Return whether a controller entry means a tuned design."""
-    return word.partition(":")[0] == "tuned"
-
-
-def tuned_design(experiment: Experiment, word: str) -> str:
-    """Return the name of the design that ``tuned`` or ``tuned:NAME`` means.
+def tuned_design(experiment: Experiment, name: str) -> str:
+    """Return the name of a design; an empty name means the only one.
 
     Raises
     ------
@@ -420,7 +415,6 @@ def tuned_design(experiment: Experiment, word: str) -> str:
         When there is no such design, or several and the entry names none.
     """
     designs = experiment.spec.controller
-    name = word.partition(":")[2]
     if not designs:
         raise UsageError("there is no section 'controller' with a design; add one")
     if name and name not in designs:
@@ -544,29 +538,28 @@ def found_controller(
 
 
 def _named_controller(
-    experiment: Experiment, word: str, tuned: Callable[[str], control.ControllerDesign]
+    experiment: Experiment, named: ControllerName, tuned: Callable[[str], control.ControllerDesign]
 ) -> control.ControllerDesign | Structure:
-    """Return the controller that a word of the YAML names; `tuned` returns a design of the experiment by its name."""
-    if word == "paper":
+    """Return the controller that the YAML names; `tuned` returns a design of the experiment by its name."""
+    if named.kind == "paper":
         return _published(experiment)
-    if is_tuned(word):
-        return tuned(tuned_design(experiment, word))
-    if ":" in word:
-        return _of_python(experiment, word)
-    path = experiment.folder / word
+    if named.kind == "tuned":
+        return tuned(tuned_design(experiment, named.name))
+    if named.kind == "python":
+        return _of_python(experiment, named)
+    path = experiment.folder / named.file
     if not path.is_file():
         raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
     return control.load_controller(path)
 
 
-def _source_key(experiment: Experiment, word: str, tuned: Callable[[str], str]) -> str:
+def _source_key(experiment: Experiment, named: ControllerName, tuned: Callable[[str], str]) -> str:
     """Return what identifies the source of a controller in content keys; `tuned` returns the key of a design."""
-    if word == "paper":
+    if named.kind == "paper":
         return repr(rig_machine(experiment).controller)
-    if is_tuned(word):
-        return tuned(tuned_design(experiment, word))
-    file = word.rpartition(":")[0] or word
-    return file_digest(experiment.folder_of(file) / file)
+    if named.kind == "tuned":
+        return tuned(tuned_design(experiment, named.name))
+    return file_digest(experiment.folder_of(named.file) / named.file)
 
 
 def controller_identity(experiment: Experiment, section: ControllerChoice) -> dict[str, Any]:
@@ -671,8 +664,9 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
     return ControllerSection.model_validate(given)
 
 
-def _of_python(experiment: Experiment, word: str) -> control.ControllerDesign | Structure:
-    made = user_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
+def _of_python(experiment: Experiment, named: ControllerName) -> control.ControllerDesign | Structure:
+    word = str(named)
+    made = user_structure_or_model(word, experiment.folder_of(named.file))
     if isinstance(made, LinearModel):
         return control.ControllerDesign(word, None, {}, made.dt or sample_time(experiment), models={None: made})
     linear = kind_of(made).linear

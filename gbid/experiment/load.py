@@ -46,9 +46,11 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
     list of (location, text)
         Location in the YAML and text of each problem, without duplicates.
     """
-    checks = [check for stage in registry.STAGES if has_section(experiment, stage.section) for check in stage.checks]
-    problems = (problem for check in (has_recordings, names_are_unique, *checks) for problem in check(experiment))
-    return list(dict.fromkeys(problems))
+    problems = dict.fromkeys([*has_recordings(experiment), *names_are_unique(experiment)])
+    for stage in registry.STAGES:
+        for check in stage.checks if has_section(experiment, stage.section) else ():
+            problems |= dict.fromkeys(check(experiment))
+    return list(problems)
 
 
 def has_recordings(experiment: Experiment) -> Found:

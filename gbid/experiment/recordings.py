@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid import lpv
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.core.hdf5 import read_document, save
 from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
@@ -19,7 +18,7 @@ from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_n
 from gbid.experiment.fields import Item, Result, stored_key
 from gbid.experiment.machine import rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
-from gbid.experiment.schema import ImportedSection, LpvSection
+from gbid.experiment.schema import ImportedSection
 from gbid.experiment.structures import fit_channels
 from gbid.recording import Recording
 from gbid.recording.quality import ProblemKind, find_problems
@@ -223,31 +222,3 @@ def read_signals(job: Job, name: str) -> RecordingSignals:
     planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
     document = known(path, DOCUMENT, partial(read_document, kind=Recording.FILE))
     return RecordingSignals(name, planned.kind, planned.point, **document)
-
-
-# ---- Actuator parameters of the surfaces.
-
-
-def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
-    """Return the actuator parameters for the surfaces; None when the nominal stage will choose them.
-
-    Raises
-    ------
-    UsageError
-        When the nominal actuators are wanted without a section nominal, or the model is missing or has no actuators.
-    """
-    wanted = section.actuators
-    if wanted is None:
-        return {}
-    if wanted == "nominal":
-        if experiment.spec.nominal is None:
-            raise UsageError("there is no section 'nominal'; add one, or name a model or its file")
-        return None
-    beside = experiment.folder / wanted
-    try:
-        actuators = lpv.load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
-    except UsageError as error:
-        raise UsageError(f"expected nominal, or a model or its file; {error}") from None
-    if not actuators:
-        raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
-    return dict(actuators)

@@ -1,14 +1,54 @@
 """Schema of the section rig and of the keys loop; values of the rig are the dataclasses of `gbid.rig` themselves."""
 
-from typing import Annotated, Literal, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from annotated_types import Ge, Le, Lt
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, model_validator
 
 from gbid import rig
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Count, CountOrZero, Exact, Finite, NotNegative, Positive
 from gbid.experiment.fields import Name, Names, OptionsSection, Pair, Section, Switch, Text, given
+
+
+@dataclass(frozen=True)
+class ControllerName:
+    """Controller that a YAML names: ``paper``, ``tuned``, ``tuned:NAME``, ``file.py:name``, or a controller file.
+
+    Attributes
+    ----------
+    kind : {"paper", "tuned", "python", "file"}
+        What it is.
+    file : str
+        Python file or controller file; else empty.
+    name : str
+        Name of the design, empty for the only one; or name in the Python file.
+    """
+
+    kind: Literal["paper", "tuned", "python", "file"]
+    file: str = ""
+    name: str = ""
+
+    @classmethod
+    def read(cls, text: str) -> "ControllerName":
+        """Return the controller that a text names."""
+        if text == "paper":
+            return cls("paper")
+        word, _, design = text.partition(":")
+        if word == "tuned":
+            return cls("tuned", name=design)
+        file, _, name = text.rpartition(":")
+        return cls("python", file, name) if file else cls("file", text)
+
+    def __str__(self) -> str:
+        word = self.file or self.kind
+        return f"{word}:{self.name}" if self.name else word
+
+
+NamedController = Annotated[Text, AfterValidator(ControllerName.read), PlainSerializer(str)]
+if TYPE_CHECKING:
+    NamedController = ControllerName
 
 
 class ControllerChoice(Section):
@@ -20,7 +60,7 @@ class ControllerChoice(Section):
     positive gains are positive feedback.
     """
 
-    controller: Text | None = None
+    controller: NamedController | None = None
     structure: Text | None = None
     gains: dict[Text, Finite] = Field(default_factory=dict)
     lowpass_hz: Positive | None = None

@@ -474,8 +474,7 @@ def no_tasks(_: Job) -> Work:
 
 def has_section(experiment: Experiment, key: str) -> bool:
     """Return whether an experiment has a section, by its key in the YAML."""
-    fields = type(experiment.spec).model_fields.items()
-    return any(getattr(experiment.spec, name) for name, field in fields if key in (name, field.alias))
+    return bool(getattr(experiment.spec, "imported" if key == "import" else key, None))
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from gbid.experiment.fields import (
     Text,
     given,
 )
-from gbid.experiment.rig_schema import Axes, LoopSection, Places, RigSection
+from gbid.experiment.rig_schema import Axes, LoopSection, NamedController, Places, RigSection
 from gbid.export.chain import ChainOptions
 from gbid.identify.options import FitOptions, Scope
 from gbid.lpv import MachineData
@@ -81,8 +81,8 @@ class ImpactsSection(HammerTrain):
     them.
     """
 
-    controller: Text = "paper"
-    beside: dict[Name, Text] = Field(default_factory=dict)
+    controller: NamedController = Field(default="paper", validate_default=True)
+    beside: dict[Name, NamedController] = Field(default_factory=dict)
     model: Text | None = None
     operating_points: Places
     loops: Annotated[tuple[Literal["open", "closed"], ...], Field(min_length=1)] = ("open", "closed")

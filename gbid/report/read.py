@@ -439,7 +439,7 @@ class Results:
     def labelled(self, loops: Mapping[str, control.ImpactStudy]) -> dict[str, control.ImpactStudy]:
         """Return the impact studies of one point by their labels in figures."""
         section = self.experiment.spec.impacts
-        paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
+        paper = "published gains" if section is not None and section.controller.kind == "paper" else "closed loop"
         names = {"open": "open loop", "closed": paper}
         return {names.get(loop, loop): study for loop, study in loops.items()}
 

@@ -18,7 +18,6 @@ from gbid.experiment.controllers import (
     chain_options,
     controller_at,
     controller_key,
-    is_tuned,
     loop_of,
     loop_settings,
     model_source,
@@ -28,7 +27,7 @@ from gbid.experiment.controllers import (
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Item, Location, Result, file_digest, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
-from gbid.experiment.rig_schema import Place
+from gbid.experiment.rig_schema import ControllerName, Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
 from gbid.experiment.schema import HammerTrain, ImpactsSection
 from gbid.recording.recording import load_recording, save_recording
@@ -59,12 +58,12 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
         outside = list(outside_domain(domain, name, point, ("impacts", "operating_points", i)))
         yield from outside
         inside += [] if outside else [point]
-    for loop, word in {"closed": section.controller, **section.beside}.items():
+    for loop, named in {"closed": section.controller, **section.beside}.items():
         where: Location = ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller")
         if loop in section.beside and loop in LOOPS:
             yield where, f"the name {loop!r} is reserved; choose another"
-        elif is_tuned(word):
-            yield from refusal(where, partial(tuned_design, experiment, word))
+        elif named.kind == "tuned":
+            yield from refusal(where, partial(tuned_design, experiment, named.name))
         elif loop in loop_controllers(section):
             for point in inside:
                 yield from refusal(where, partial(controller_at, experiment, point, loop))
@@ -107,9 +106,9 @@ class ImpactRecording:
         return self.planned.name.rpartition("_")[0]
 
 
-def loop_controllers(section: ImpactsSection) -> dict[str, str]:
-    """Return the controller entry of each loop, in their order; empty for the open loop."""
-    return {loop: section.controller if loop == "closed" else "" for loop in section.loops} | section.beside
+def loop_controllers(section: ImpactsSection) -> dict[str, ControllerName | None]:
+    """Return the controller of each loop, in their order; None for the open loop."""
+    return {loop: section.controller if loop == "closed" else None for loop in section.loops} | section.beside
 
 
 def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:

@@ -16,7 +16,7 @@ import numpy as np
 from gbid import identify
 from gbid.core.errors import UsageError, nearest
 from gbid.core.tables import Column, Row, Table, formatted, in_unit, read_values, table_of_values, write_csv
-from gbid.experiment.controllers import early_design, is_tuned, tuned_design
+from gbid.experiment.controllers import early_design, tuned_design
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Item, Location
 from gbid.experiment.run import Job, Stage, Task
@@ -52,9 +52,9 @@ def early_designs(experiment: Experiment) -> list[str]:
     """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
     spec, names = experiment.spec, dict[str, None]()
     for section in (spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())):
-        if section is not None and is_tuned(section.controller or ""):
+        if section is not None and section.controller is not None and section.controller.kind == "tuned":
             with suppress(UsageError):  # a check reports it
-                names[tuned_design(experiment, str(section.controller))] = None
+                names[tuned_design(experiment, section.controller.name)] = None
     return list(names)
 
 

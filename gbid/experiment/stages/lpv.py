@@ -17,7 +17,6 @@ from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, InputError, Item, Location, Result, needed, refusal, stored_key
 from gbid.experiment.machine import machine_data
-from gbid.experiment.recordings import lpv_actuators
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import LpvSection
 from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, fit_result
@@ -65,6 +64,31 @@ def _of_scheduled(experiment: Experiment, section: LpvSection, structure: Schedu
     if section.direct:
         yield ("lpv", "direct"), f"{structure.name} gives the surfaces straight from the recordings already; remove it"
     yield from refusal(("lpv", "actuators"), partial(lpv_actuators, experiment, section))
+
+
+def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
+    """Return the actuator parameters for the surfaces; None when the nominal stage will choose them.
+
+    Raises
+    ------
+    UsageError
+        When the nominal actuators are wanted without a section nominal, or the model is missing or has no actuators.
+    """
+    wanted = section.actuators
+    if wanted is None:
+        return {}
+    if wanted == "nominal":
+        if experiment.spec.nominal is None:
+            raise UsageError("there is no section 'nominal'; add one, or name a model or its file")
+        return None
+    beside = experiment.folder / wanted
+    try:
+        actuators = lpv.load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
+    except UsageError as error:
+        raise UsageError(f"expected nominal, or a model or its file; {error}") from None
+    if not actuators:
+        raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
+    return dict(actuators)
 
 
 # ---- Surfaces of an experiment, made by `gbid.fit_lpv` from its fits.

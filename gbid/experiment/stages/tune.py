@@ -50,7 +50,8 @@ if TYPE_CHECKING:
 def designs_can_be_tuned(experiment: Experiment) -> Found:
     """Yield problems of the structure, model, gains, goals and operating points of each design."""
     for name, section in experiment.spec.controller.items():
-        yield from ((("controller", name, *where), text) for where, text in _design_problems(experiment, section))
+        for where, text in _design_problems(experiment, section):
+            yield ("controller", name, *where), text
 
 
 def _design_problems(experiment: Experiment, section: ControllerSection) -> Found:
