@@ -129,48 +129,63 @@ class StageVerb(NamedTuple):
 
     Attributes
     ----------
-    help : str
-        Help text of the verb.
+    section : str
+        Key of its section in the YAML.
     stages : tuple of str
         Names of its stages in `gbid.experiment.stages.registry`.
+    help : str
+        Help text of the verb.
     hint : str
-        Further advice when the YAML has none of the sections.
+        Further advice when the YAML has no such section.
     """
 
-    help: str
+    section: str
     stages: tuple[str, ...]
+    help: str
     hint: str = ""
 
 
 STAGE_VERBS: dict[str, StageVerb] = {
     "rig": StageVerb(
-        "Make the recordings of the rig section, after the designs that close their loops.", ("loop", "rig"), OR_RUN
+        "rig",
+        ("loop", "rig"),
+        "Make the recordings of the rig section, after the designs that close their loops.",
+        OR_RUN,
     ),
-    "import": StageVerb("Read the recordings of the import section.", ("import",), OR_RUN),
-    "fit": StageVerb("Prefilter the recordings, if the YAML says so, and run the fits.", ("prefilter", "fit")),
+    "import": StageVerb("import", ("import",), "Read the recordings of the import section.", OR_RUN),
+    "fit": StageVerb("fits", ("prefilter", "fit"), "Prefilter the recordings, if the YAML says so, and run the fits."),
     "static": StageVerb(
-        "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos.", ("static",)
+        "static",
+        ("static",),
+        "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos.",
     ),
     "crossval": StageVerb(
-        "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
+        "crossval",
         ("crossval", "nominal"),
+        "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
     ),
     "lpv": StageVerb(
-        "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings.", ("lpv",)
+        "lpv", ("lpv",), "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings."
     ),
     "excite": StageVerb(
-        "Design the excitation of the next recordings from the fits: a CSV file for the signal generator.", ("excite",)
+        "excite",
+        ("excite",),
+        "Design the excitation of the next recordings from the fits: a CSV file for the signal generator.",
     ),
     "tune": StageVerb(
-        "Tune controllers: the gains with the most damping within limits, compared with the published ones.", ("tune",)
+        "controller",
+        ("tune",),
+        "Tune controllers: the gains with the most damping within limits, compared with the published ones.",
     ),
     "impact": StageVerb(
-        "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
+        "impacts",
         ("impact",),
+        "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
     ),
     "cycle": StageVerb(
-        "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
+        "cycle",
         ("cycle",),
+        "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
     ),
 }
 """Verbs of the stages in the order of a run; the names are read before the stages are imported, for a fast help."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
@@ -28,22 +28,6 @@ from gbid.report.views import fit_rows, summary_lines, view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
 
-_ORDER: Mapping[str, Callable[[Any], object]] = {
-    "check": lambda _: True,
-    "rig": lambda spec: spec.rig,
-    "import": lambda spec: spec.imported,
-    "static": lambda spec: spec.static,
-    "fit": lambda spec: spec.fits,
-    "crossval": lambda spec: spec.crossval,
-    "lpv": lambda spec: spec.lpv,
-    "excite": lambda spec: spec.excite,
-    "tune": lambda spec: spec.controller,
-    "impact": lambda spec: spec.impacts,
-    "cycle": lambda spec: spec.cycle,
-    "report": lambda _: True,
-    "export": lambda spec: spec.fits or spec.lpv or spec.controller,
-}
-"""Verbs in the order of the work, with what an experiment must have for them."""
 _LIKE = {
     **{"batch": "fit", "run": "report", "paper": "cycle"},
     **{"loop": "check", "prefilter": "import", "loop-cost": "static", "nominal": "crossval"},
@@ -65,12 +49,12 @@ def next_step(experiment: Experiment, verb: str) -> str:
         return f"gbid run {path}"
     if verb == "run" and experiment.spec.cycle is not None and not experiment.spec.cycle.in_run:
         return f"gbid cycle {path}"
-    verbs = list(_ORDER)
-    done = _LIKE.get(verb, verb)
+    verbs, done = ["check", *STAGE_VERBS, "report"], _LIKE.get(verb, verb)
     for later in verbs[verbs.index(done) + 1 :] if done in verbs else ():
-        if _ORDER[later](experiment.spec):
-            target = " --to c" if experiment.spec.controller else " --to matlab"
-            return f"gbid {later} {path}{target if later == 'export' else ''}"
+        if later == "report" or has_section(experiment, STAGE_VERBS[later].section):
+            return f"gbid {later} {path}"
+    if done == "report" and any(has_section(experiment, section) for section in ("fits", "lpv", "controller")):
+        return f"gbid export {path} --to {'c' if experiment.spec.controller else 'matlab'}"
     return ""
 
 
