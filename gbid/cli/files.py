@@ -109,15 +109,13 @@ def init(
     from gbid.cli.templates import refuse_used, write_draft
     from gbid.experiment.draft import DraftOptions
     from gbid.lpv import MachineData
+    from gbid.recording.roles import ROLES
 
     folder = folder or Path(f"{measured.resolve().name}-experiment")
     refuse_used(folder)
-    columns: dict[str, tuple[tuple[str, ...], ...]] = {}
-    for name, names in map(_signal, signal or ()):
-        columns[name] = (*columns.get(name, ()), names)
     drafted = DraftOptions(
         measured,
-        columns,
+        {},
         time,
         sample_time,
         unit,
@@ -133,6 +131,11 @@ def init(
         ),
         ask=sys.stdin.isatty(),
     )
+    for text in signal or ():
+        name, _, columns = text.partition("=")
+        if name.strip() not in ROLES:
+            raise UsageError(f"--signal: expected r, u, p or phi with its columns, as p=X,Y; found {text!r}")
+        drafted = drafted.answered(name.strip(), columns)
     draft = _drafted(drafted, folder)
     written = write_draft(draft.text, folder)
     tell("\n".join(draft.columns))
@@ -147,16 +150,6 @@ def _print_written(written: Sequence[Path], folder: Path, first: str, then: str,
     lines = [*(f"note: {text}" for text in notes), f"next: gbid {first} {experiment}"]
     lines.append(f"then: change {experiment} and {then} it with gbid {then} {experiment}")
     typer.echo("\n".join(lines), err=True)
-
-
-def _signal(text: str) -> tuple[str, tuple[str, ...]]:
-    """Return name and columns of an option like ``p=Weg x,Weg y``."""
-    name, _, columns = text.partition("=")
-    counts = {"r": 2, "u": 2, "p": 2, "phi": 1}
-    names = tuple(column.strip() for column in columns.split(",") if column.strip())
-    if len(names) != counts.get(name.strip()):
-        raise UsageError(f"--signal: expected r, u or p with two columns, or phi with one, as p=X,Y; found {text!r}")
-    return name.strip(), names
 
 
 _OF_MACHINE = {

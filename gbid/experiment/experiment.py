@@ -52,27 +52,19 @@ def digest_or_not(path: Path) -> str:
 
 
 @dataclass(frozen=True)
-class FoundFile:
-    """Recording to import, and the location of its entry in the YAML."""
-
-    entry: ImportedSection
-    location: Location
-
-
-@dataclass(frozen=True)
 class FoundFiles:
     """Recordings of an import section, and the problems of its folder or table.
 
     Attributes
     ----------
-    files : tuple of FoundFile
-        Recordings to import.
+    files : tuple of (ImportedSection, location)
+        Recordings to import, with the location of the entry of each in the YAML.
     problems : tuple of (location, text)
         Location in the YAML and text of each problem.
     """
 
-    files: tuple[FoundFile, ...]
-    problems: tuple[tuple[Location, str], ...]
+    files: tuple[tuple[ImportedSection, Location], ...] = ()
+    problems: tuple[tuple[Location, str], ...] = ()
 
 
 def find_files(section: ImportSection, base: Path) -> FoundFiles:
@@ -84,15 +76,12 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
         The section.
     base : pathlib.Path
         Folder of the experiment file.
-
-    Returns
-    -------
-    FoundFiles
-        Recordings and problems.
     """
-    files = [FoundFile(entry, ("import", "recordings", i)) for i, entry in enumerate(section.recordings or ())]
+    files: list[tuple[ImportedSection, Location]] = [
+        (entry, ("import", "recordings", i)) for i, entry in enumerate(section.recordings or ())
+    ]
     problems: list[tuple[Location, str]] = []
-    folder, listed = base / section.data_folder, {file.entry.file for file in files}
+    folder, listed = base / section.data_folder, {entry.file for entry, _ in files}
     sources: list[tuple[Location, Iterator[ImportedSection | str], str]] = []
     if section.folder is not None:
         skip = listed | ({section.table.file} if section.table else set())
@@ -114,7 +103,7 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
                     problems.append((location, f"{both}; {remedy}"))
                 else:
                     names[entry.name] = entry.file
-                    files.append(FoundFile(entry, location))
+                    files.append((entry, location))
         except GbidError as error:
             problems.append((location, str(error)))
     return FoundFiles(tuple(files), tuple(problems))
@@ -323,7 +312,7 @@ class PlannedRecording:
         return "_".join(parts) or NO_POINT
 
 
-def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) -> Iterator[PlannedRecording]:
+def planned_recordings(spec: ExperimentFile, imports: FoundFiles) -> Iterator[PlannedRecording]:
     """Yield the recordings of the rig, then those of files; names can still occur twice."""
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
@@ -333,11 +322,10 @@ def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) ->
             signals, location = {**_rig_signals(spec.rig), **_COURSE_SIGNALS}, ("rig", "courses", i)
             for n in range(course.recordings):
                 yield planned(f"{course.name}{n + 1}", signals=signals, location=location)
-    for file in files:
-        entry = file.entry
+    for entry, location in imports.files:
         signals = {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()}
         excited, staircase = entry.kind == "excited", entry.kind == "staircase"
-        yield PlannedRecording(entry.name, excited, entry.conditions, signals, file.location, entry, staircase)
+        yield PlannedRecording(entry.name, excited, entry.conditions, signals, location, entry, staircase)
 
 
 def _rig_signals(rig: RigSection) -> dict[str, tuple[str, ...]]:
@@ -428,13 +416,13 @@ class Experiment:
     @cached_property
     def recordings(self) -> Mapping[str, PlannedRecording]:
         """Recordings by name: those of the rig, then those of imported files."""
-        return {planned.name: planned for planned in planned_recordings(self.spec, self.imports.files)}
+        return {planned.name: planned for planned in planned_recordings(self.spec, self.imports)}
 
     @cached_property
     def imports(self) -> FoundFiles:
         """Files that the import section names or finds in its folder, searched once."""
         section = self.spec.imported
-        return find_files(section, self.folder) if section is not None else FoundFiles((), ())
+        return find_files(section, self.folder) if section is not None else FoundFiles()
 
     @cached_property
     def points(self) -> Mapping[str, list[PlannedRecording]]:

@@ -78,7 +78,7 @@ def names_are_unique(experiment: Experiment) -> Found:
     for here, first in twice.items():
         yield here, f"the same operating point as operating_points[{first}]; delete one of the two"
     seen: set[str] = set()
-    for q in planned_recordings(experiment.spec, experiment.imports.files):
+    for q in planned_recordings(experiment.spec, experiment.imports):
         if q.location in twice:
             continue  # reported above, once for all recordings of the point
         if q.name in seen:

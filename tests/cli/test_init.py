@@ -98,7 +98,7 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     draft = (tmp_path / "asked" / "experiment.yaml").read_text(encoding="utf-8")
     assert draft == given.replace("name: own", "name: asked")
     assert gbid("init", tmp_path / "a", tmp_path / "third", "--signal", "u=c1") == 2
-    assert "expected r, u or p with two columns" in capsys.readouterr().err
+    assert "u: expected the columns of the piezo positions, x then y" in capsys.readouterr().err
     assert "no folder" in printed_by(capsys, "init", tmp_path / "none", tmp_path / "third", code=2).err
     write(tmp_path / "still" / "p5_n4000.csv", False, names="t;u_x [um];u_y [um];p_x [um];p_y [um]")
     assert gbid("init", tmp_path / "still", tmp_path / "third") == 3

@@ -36,9 +36,8 @@ def data_can_be_read(experiment: Experiment) -> Found:
     if not folder.is_dir():
         yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
     yield from experiment.imports.problems
-    by_place = {str(file.location): file for file in reversed(experiment.imports.files)}
-    for file in by_place.values():  # all files of a folder share one mapping; that of the first is checked
-        entry, here = file.entry, file.location
+    by_place = {location: entry for entry, location in reversed(experiment.imports.files)}
+    for here, entry in by_place.items():  # all files of a folder share one mapping; that of the first is checked
         path = experiment.data_file(entry)
         listed = "recordings" in here
         here_file = (*here, "file") if listed else here
