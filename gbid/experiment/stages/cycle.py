@@ -20,7 +20,7 @@ from gbid.experiment.controllers import TUNED, controller_section, load_design, 
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Item, Result, needed, refusal
 from gbid.experiment.machine import rig_model
-from gbid.experiment.rig_schema import ControllerName, Place
+from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import MOST_ROUNDS, ImpactsSection
 from gbid.experiment.stages.fit import fit_tasks
@@ -81,7 +81,7 @@ def round_experiment(experiment: Experiment, number: int) -> Experiment:
     if fit.recordings is not None:
         fit = fit.model_copy(update={"recordings": (*fit.recordings, *new)})
     trial = {**dict(needed(experiment.spec.cycle, "cycle").impacts), "operating_points": trial_points(experiment)}
-    impacts = ImpactsSection(**trial, model="lpv", beside={f"round{number}": ControllerName("tuned")})
+    impacts = ImpactsSection.model_validate({**trial, "model": "lpv", "beside": {f"round{number}": "tuned"}})
     changed = {
         "fits": {**spec.fits, surfaces.fit: fit},
         "lpv": surfaces.model_copy(update={"direct": False}),
