@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # ---- Outcome of a task.
 
-State = Literal["made", "kept", "failed"]
+State = Literal["made", "kept", "failed", "missing", "stale"]
 Cause = Literal["", "input", "data", "usage", "defect", "crash"]
 
 
@@ -40,8 +40,9 @@ class Outcome:
         What the result is about.
     path : pathlib.Path
         The result file.
-    state : {"made", "kept", "failed"}
-        ``kept``: the file existed already, made from the same settings and data.
+    state : {"made", "kept", "failed", "missing", "stale"}
+        ``kept``: the file existed already, made from the same settings and data. Results that are only looked at may be
+        ``missing``, or ``stale``: made from others.
     text : str
         Reason of a failure, or a note about the result.
     seconds : float

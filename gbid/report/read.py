@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import nan
-from typing import TYPE_CHECKING, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from gbid import control, lpv, validate
 from gbid.control.assessment import assessed_alike, sampling_words
@@ -203,30 +203,7 @@ def place_of(conditions: Mapping[str, float]) -> str:
 
 # ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.
 
-State = Literal["there", "failed", "missing", "stale"]
 Value = TypeVar("Value")
-
-
-@dataclass(frozen=True)
-class Standing:
-    """State of one planned result file.
-
-    Attributes
-    ----------
-    item : Item
-        What the result is about.
-    state : {"there", "failed", "missing", "stale"}
-        ``stale``: made with other settings or data.
-    text : str
-        Reason of a missing result, or status of an existing fit.
-    converged : bool
-        False for a fit that did not converge.
-    """
-
-    item: Item
-    state: State
-    text: str = ""
-    converged: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,19 +222,17 @@ class StageResults(Generic[Value]):
     missing: Mapping[str, str]
 
 
-def read_standings(job: Job) -> tuple[Standing, ...]:
+def read_standings(job: Job) -> tuple[Outcome, ...]:
     """Return the states of recordings, prefiltered recordings and fits, in this order."""
     standings = []
     work = [item for stage in (RIG, IMPORT, PREFILTER, FIT) for item in stage.work(job)]
     for task in (item for item in work if isinstance(item, Task)):
-        state: tuple[State, str] | tuple[State, str, bool] = "missing", "not made yet"
+        missing = Outcome(task.item, task.path, "missing", "not made yet")
         try:
-            outcome = standing(job, task)
-            if outcome is not None:
-                state = "failed" if outcome.state == "failed" else "there", outcome.text, outcome.converged
+            standings.append(standing(job, task) or missing)
         except UsageError:
-            state = "stale", "made with other settings or data, or by another gbid"
-        standings.append(Standing(task.item, *state))
+            text = "made with other settings or data, or by another gbid"
+            standings.append(replace(missing, state="stale", text=text))
     return tuple(standings)
 
 
@@ -324,27 +299,27 @@ class Results:
     # ------------------------------------------------------------ recordings and fits
 
     @cached_property
-    def standings(self) -> tuple[Standing, ...]:
+    def standings(self) -> tuple[Outcome, ...]:
         """States of recordings, prefiltered recordings and fits, in this order."""
         return read_standings(self.job)
 
     @cached_property
     def recordings(self) -> tuple[RecordingSignals, ...]:
         """Signals of the existing excited recordings."""
-        made = {f.item.section for f in self.standings if f.item.stage in ("rig", "import") and f.state == "there"}
+        made = {f.item.section for f in self.standings if f.item.stage in ("rig", "import") and f.state == "kept"}
         planned = self.experiment.recordings.items()
         return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in made)
 
     @cached_property
     def prefiltered(self) -> list[Row]:
         """Corrections by the prefilter, for each channel."""
-        made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "there"]
+        made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "kept"]
         return [row for item in made for row in correction_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:
         """Existing fits."""
-        made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "there"]
+        made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "kept"]
         return tuple(read_fit(self.job, item.section, item.model) for item in made)
 
     # ------------------------------------------------------------ cross-validation and nominal actuator

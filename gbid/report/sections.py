@@ -21,6 +21,7 @@ from gbid.core.index import known
 from gbid.core.tables import Cell, Column, Entry, Row, Table, Value, in_unit, shown_unit, titled, value_of
 from gbid.experiment.experiment import Experiment, fit_models, recordings_of
 from gbid.experiment.recordings import load_made
+from gbid.experiment.run import Outcome
 from gbid.experiment.stages.crossval import pair_table, validate_pair
 from gbid.experiment.stages.fit import load_made_fit, response_of
 from gbid.identify.fit_tables import fit_tables
@@ -47,7 +48,7 @@ from gbid.report.page import (
     packed_json,
 )
 from gbid.report.pictures import drawn
-from gbid.report.read import MadeFit, Results, StageResults, Standing
+from gbid.report.read import MadeFit, Results, StageResults
 from gbid.report.views import converged_words, design_lines, mode_rows, note_rows, outcome_words
 from gbid.validate import Validation
 
@@ -106,9 +107,9 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
     return PageSection("fits", "Fits", blocks)
 
 
-def lost_fits(results: Results) -> list[Standing]:
+def lost_fits(results: Results) -> list[Outcome]:
     """Return the planned fits without result."""
-    return [f for f in results.standings if f.item.stage == "fit" and f.state != "there"]
+    return [f for f in results.standings if f.item.stage == "fit" and f.state != "kept"]
 
 
 def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
@@ -601,7 +602,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
     counts: dict[str, Counter[str]] = {}
     for f in results.standings:
         counts.setdefault(_STAGES[f.item.stage], Counter())[f.state] += 1
-    states = ("there", "failed", "missing", "stale")
+    states = ("kept", "failed", "missing", "stale")
     rows: list[tuple[Entry, ...]] = [(stage, *(count[state] for state in states)) for stage, count in counts.items()]
     heads = ("made", "failed", "not made", "made with other settings")
     blocks.append(Table("Results", [Column("stage"), *(Column(head, format="d") for head in heads)], rows))

@@ -11,7 +11,7 @@
     const parts = Object.entries(stages).map(([stage, count]) => {
       const all = Object.values(count).reduce((a, b) => a + b, 0);
       const failed = count.failed ? `, ${count.failed} failed` : "";
-      return `${stage} ${count.there ?? 0} of ${all}${failed}`;
+      return `${stage} ${count.kept ?? 0} of ${all}${failed}`;
     });
     return parts.length ? `${parts.join("; ")}.` : "Nothing is planned yet.";
   }

@@ -131,7 +131,7 @@ def of_results(count: int) -> dict[str, float]:
             stages = live.state()["stages"].values()
             times["poll"] = min(timed(live.state)[1] for _ in range(3))
         page = (experiment.results / "report.html").read_text(encoding="utf-8")
-    if page.count('"facts":[[') != count or any(states != {"there": count} for states in stages):
+    if page.count('"facts":[[') != count or any(states != {"kept": count} for states in stages):
         raise RuntimeError(f"the report or the server has not all of the {count} fits")
     return times
 

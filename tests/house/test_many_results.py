@@ -10,8 +10,8 @@ from tests.benchmarks.many_results import REAL, make_results
 def test_copies_stand_as_made_under_their_names(tmp_path: Path) -> None:
     results = Results(Job(make_results(tmp_path / "many", REAL + 3)))
     assert {(standing.item.stage, standing.state) for standing in results.standings} == {
-        ("rig", "there"),
-        ("fit", "there"),
+        ("rig", "kept"),
+        ("fit", "kept"),
     }
     assert [fit.document["recordings"] for fit in results.fits] == [[fit.model] for fit in results.fits]
     assert len(results.recordings) == len(results.fits) == REAL + 3

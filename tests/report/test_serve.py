@@ -84,10 +84,10 @@ def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
     assert 'id="follow-words"' in page
     run_stage(Job(load_experiment(folder / "e.yaml")), RIG)
     after = json.loads(get(server, "state"))
-    assert after["stages"]["rig"] == {"there": 2}
+    assert after["stages"]["rig"] == {"kept": 2}
     assert after["key"] != before["key"]
     run_stage(Job(load_experiment(folder / "e.yaml")), FIT)
-    assert json.loads(get(server, "state"))["stages"]["fit"] == {"there": 1}
+    assert json.loads(get(server, "state"))["stages"]["fit"] == {"kept": 1}
     name = "piezos/p6_n0_prbs1"
     drawn = []
     monkeypatch.setattr("gbid.report.control_sections.design_pictures", lambda *_: drawn.append(1) or [])
@@ -121,7 +121,7 @@ def test_a_reading_is_followed_by_a_rest_three_times_as_long(served, monkeypatch
     now[0] = 107.9  # read until 102 s
     assert live.state()["stages"] == before
     now[0] = 108.0
-    assert live.state()["stages"]["rig"] == {"there": 1, "missing": 1}
+    assert live.state()["stages"]["rig"] == {"kept": 1, "missing": 1}
 
 
 def test_a_poll_looks_at_folders_and_once_a_minute_into_each_file(served, monkeypatch):
@@ -130,16 +130,16 @@ def test_a_poll_looks_at_folders_and_once_a_minute_into_each_file(served, monkey
     now = [100.0]
     monkeypatch.setattr("gbid.serve.server.time.monotonic", lambda: now[0])
     live = Live(folder / "e.yaml")
-    assert live.state()["stages"]["rig"] == {"there": 2}
+    assert live.state()["stages"]["rig"] == {"kept": 2}
     file = folder / "results" / "served" / "recordings" / "p6_n0_prbs1.h5"
     content = file.read_bytes()
     file.write_bytes(content[:-1])  # in place, as gbid never writes
-    assert live.state()["stages"]["rig"] == {"there": 2}
+    assert live.state()["stages"]["rig"] == {"kept": 2}
     now[0] += 61
-    assert live.state()["stages"]["rig"] == {"there": 1, "failed": 1}
+    assert live.state()["stages"]["rig"] == {"kept": 1, "failed": 1}
     with atomic_path(file, overwrite=True) as part:
         part.write_bytes(content)
-    assert live.state()["stages"]["rig"] == {"there": 2}
+    assert live.state()["stages"]["rig"] == {"kept": 2}
 
 
 def test_only_this_machine_and_only_these_pages(served):
