@@ -22,7 +22,7 @@ from gbid.experiment.schema import (
     ControllerSection,
     TargetSection,
 )
-from gbid.experiment.user_code import user_structure, user_structure_or_model
+from gbid.experiment.user_code import file_of, user_structure, user_structure_or_model
 from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
 from gbid.prefilter.runout_identification import identify_runout
 from gbid.rig import ProgramController, SampledController, Stationary
@@ -228,7 +228,7 @@ def design_structure(
     if section.structure in built_in_structures():
         with about(wrong):
             base = control.controller_structure(section.structure, **options)
-    elif ":" not in section.structure:
+    elif not file_of(section.structure):
         hint = nearest(section.structure, built_in_structures())
         text = f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)"
         raise UsageError(text, "structure")
@@ -248,7 +248,7 @@ def design_structure(
 
 def _structure_text(experiment: Experiment, name: str | None) -> str:
     """Return the text of the file of a user's structure, for content keys; empty for built-in structures."""
-    file = (name or "").rpartition(":")[0]
+    file = file_of(name or "")
     return (experiment.folder / file).read_text(errors="replace") if file else ""
 
 

@@ -16,7 +16,7 @@ from gbid.experiment.controllers import at_point, controller_identity, found_con
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import about, file_digest
 from gbid.experiment.rig_schema import LoopSection
-from gbid.experiment.user_code import user_structure
+from gbid.experiment.user_code import file_of, user_structure
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.structure import (
     ClosedLoop,
@@ -198,7 +198,7 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
         with about("structure"):
             made = called(build, f"{spec.structure} of {package}", **options) if callable(build) else build
             return checked(made, spec.structure, package)
-    if ":" not in spec.structure:
+    if not file_of(spec.structure):
         hint = nearest(spec.structure, BUILT_IN)
         raise UsageError(
             f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name, or install the package "
@@ -208,18 +208,18 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
     if options:
         raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them", "options")
     with about("structure"):
-        return user_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
+        return user_structure(spec.structure, experiment.folder_of(file_of(spec.structure)))
 
 
 def _offered(name: str) -> tuple[Any, str] | None:
     """Return the structure that another package offers under a name, and the package; None for a Python file."""
-    return None if ":" in name else offered("gbid.structures", name)
+    return None if file_of(name) else offered("gbid.structures", name)
 
 
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
     """Return the settings of a structure for its content key: name, options, and the digest of its file."""
     spec = experiment.spec.fits[fit]
-    file = spec.structure.rpartition(":")[0]
+    file = file_of(spec.structure)
     settings: dict[str, Any] = {"name": spec.structure, "options": spec.options.model_dump(exclude_none=True)}
     if spec.structure not in BUILT_IN and (offer := _offered(spec.structure)):
         settings["package"] = offer[1]

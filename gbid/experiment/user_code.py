@@ -22,6 +22,11 @@ T = TypeVar("T")
 _made: dict[tuple[str, ...], Any] = {}  # modules by path and digest, structures by name as well; or their errors
 
 
+def file_of(reference: str) -> str:
+    """Return the file that ``file.py:name`` names; empty for a word without a name in a file."""
+    return reference.rpartition(":")[0]
+
+
 def user_structure_or_model(reference: str, folder: Path) -> AnyStructure | LinearModel:
     """Return the structure or the model named as ``file.py:name``; its file is executed once for each content.
 
@@ -92,7 +97,7 @@ def _python_files(experiment: Experiment) -> set[Path]:
     files = set()
     for reference in _references(experiment.spec):
         with suppress(UsageError):  # the check of its section reports it
-            files.add(python_file(reference, experiment.folder_of(reference.rpartition(":")[0]))[0])
+            files.add(python_file(reference, experiment.folder_of(file_of(reference)))[0])
     return files
 
 
