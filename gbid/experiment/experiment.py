@@ -319,9 +319,9 @@ def planned_recordings(spec: ExperimentFile, imports: FoundFiles) -> Iterator[Pl
             yield from _at_point(spec.rig, point, ("rig", "operating_points", i))
         for i, course in enumerate(spec.rig.courses):  # recordings of a course have no operating point
             planned = partial(PlannedRecording, excited=course.excited, conditions={}, run=("course", i))
-            signals, location = {**_rig_signals(spec.rig), **_COURSE_SIGNALS}, ("rig", "courses", i)
+            signals = {**_rig_signals(spec.rig), **_COURSE_SIGNALS}
             for n in range(course.recordings):
-                yield planned(f"{course.name}{n + 1}", signals=signals, location=location)
+                yield planned(f"{course.name}{n + 1}", signals=signals, location=("rig", "courses", i))
     for entry, location in imports.files:
         signals = {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()}
         excited, staircase = entry.kind == "excited", entry.kind == "staircase"

@@ -46,9 +46,10 @@ class ControllerName:
         return f"{word}:{self.name}" if self.name else word
 
 
-NamedController = Annotated[Text, AfterValidator(ControllerName.read), PlainSerializer(str)]
 if TYPE_CHECKING:
     NamedController = ControllerName
+else:
+    NamedController = Annotated[Text, AfterValidator(ControllerName.read), PlainSerializer(str)]
 
 
 class ControllerChoice(Section):
