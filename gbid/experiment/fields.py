@@ -281,7 +281,7 @@ def _keys_at(kind: Any, location: Location) -> list[str]:
     """Return the keys that the schema allows at a location of pydantic, which names the form of a value by its tag."""
     for key in location:
         kind, forms = _inner_type(kind), get_args(_inner_type(kind))
-        if get_origin(kind) in (dict, tuple):
+        if get_origin(kind) in (dict, list, tuple):
             kind = forms[1 if get_origin(kind) is dict else 0]
         elif forms:
             kind = next((form for form in forms if Tag(str(key)) in getattr(form, "__metadata__", ())), None)

@@ -297,6 +297,12 @@ class CalibrationSection(Section):
     points: Annotated[list[tuple[Finite, Finite]], Field(min_length=2)]
 
 
+_Calibration = Annotated[
+    Annotated[CalibrationSection, Tag("section")] | Annotated[list[CalibrationSection], Tag("list")],
+    Discriminator(lambda value: "list" if isinstance(value, list) else "section"),
+]
+
+
 class ColumnsSection(Section):
     """Columns of one signal in a file; see `gbid.recording.SignalMapping`.
 
@@ -312,7 +318,7 @@ class ColumnsSection(Section):
     interpolate: Switch = False
     scale: Finite | list[Finite] | None = None
     offset: Finite | list[Finite] | None = None
-    calibration: CalibrationSection | list[CalibrationSection] | None = None
+    calibration: _Calibration | None = None
     rests_at_limits: Switch = False
 
 
