@@ -70,17 +70,6 @@ class PlantDraws(Brief):
         """
         return float(((self.value >= value - 1e-9) & (self.violation <= HOLDS)).mean())
 
-    def reached(self, probability: float) -> float:
-        """Return the value that a share of the plants reaches.
-
-        Parameters
-        ----------
-        probability : float
-            The share.
-        """
-        ranked = np.sort(self.value)
-        return float(ranked[int(np.floor((1 - probability) * len(ranked) + 1e-9))])
-
     def promised(self, probability: float, confidence: float) -> float:
         """Return the value that a plant reaches with a probability, at a confidence, whatever the distribution.
 
