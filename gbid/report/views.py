@@ -189,7 +189,7 @@ def _tuning_tables(_: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
 def _published(job: Job, study: control.ImpactStudy) -> Row:
     """Return the modes in the paper for the point and loop of a study with the paper's controller."""
     section, rig = job.experiment.spec.impacts, job.experiment.spec.rig
-    if section is None or rig is None or (study.loop != "open" and section.controller != "paper"):
+    if section is None or rig is None or (study.loop != "open" and section.controller.kind != "paper"):
         return {}
     place = {**study.conditions, "loop": study.loop}
     known = [q for q in rig_machine(job.experiment).reference_modes if place == {key: getattr(q, key) for key in place}]
