@@ -30,7 +30,7 @@ from .control import (
 )
 from .control.assessment import assess as assess
 from .control.tuning.tune import tune as tune
-from .core.hdf5 import load as load, save as save
+from .core.hdf5 import save as save
 from .excite import (
     Excitation as Excitation,
     design_excitation as design_excitation,
@@ -69,6 +69,7 @@ from .recording import (
     load_recording as load_recording,
     save_recording as save_recording,
 )
+from .stored import load as load
 from .structure import (
     ClosedLoop as ClosedLoop,
     LinearModel as LinearModel,

@@ -66,9 +66,9 @@ def show(
 
 def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     """Return kind, document and tables of the value in an HDF5 file; without tables its document has a text."""
-    from gbid.core.hdf5 import load
     from gbid.core.tables import titled
     from gbid.identify import FitResult
+    from gbid.stored import load
 
     value = load(path)
     if not hasattr(value, "document"):  # recordings, tables of fits: no tables that fit on a screen

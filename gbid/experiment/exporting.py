@@ -12,7 +12,6 @@ from gbid.control.controllers.file import load_controller
 from gbid.core.arrays import Point
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import atomic_set
-from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.controllers import TUNED, chain_options, design_structure
@@ -28,6 +27,7 @@ from gbid.lpv.model_file import load_model
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.filtering import PrefilterFile
 from gbid.recording import Recording
+from gbid.stored import load
 
 FOLDER = "export"
 _LONGEST = 50  # characters of a name in C and MATLAB, with room for what is added to it

@@ -14,7 +14,6 @@ from gbid.core.arrays import FloatArray, frequencies_and_dampings
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Finite, NotNegative, Positive, check_options
-from gbid.core.published import PUBLISHED_RMS
 from gbid.rig.film import FilmPoint
 from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
@@ -562,12 +561,12 @@ class Scatter:
     """
 
     share: NotNegative = 0.5
-    delay_s: tuple[NotNegative, NotNegative] = (PUBLISHED_RMS["tau_x"], PUBLISHED_RMS["tau_y"])
-    frequency_hz: tuple[NotNegative, NotNegative] = (PUBLISHED_RMS["omega_1"], PUBLISHED_RMS["omega_2"])
-    damping: tuple[NotNegative, NotNegative] = (PUBLISHED_RMS["zeta_1"], PUBLISHED_RMS["zeta_2"])
+    delay_s: tuple[NotNegative, NotNegative] = (0.088e-3, 0.041e-3)
+    frequency_hz: tuple[NotNegative, NotNegative] = (1.13, 0.58)
+    damping: tuple[NotNegative, NotNegative] = (0.0104, 0.0063)
     static_gain: tuple[NotNegative, NotNegative, NotNegative, NotNegative] = (
-        *(PUBLISHED_RMS["g_xx"], PUBLISHED_RMS["g_xy"]),
-        *(PUBLISHED_RMS["g_yx"], PUBLISHED_RMS["g_yy"]),
+        *(0.0031, 0.0022),
+        *(0.0027, 0.0031),
     )
     minimum_damping: NotNegative = 0.01
     minimum_delay_s: NotNegative = 20e-6

@@ -15,7 +15,7 @@ from json_keys import assert_keys
 from scipy.linalg import block_diag
 
 import gbid
-from gbid import report
+from gbid import load, report, save
 from gbid.control import (
     HalfSine,
     ImpactStudy,
@@ -32,7 +32,6 @@ from gbid.control import (
     study_impacts,
 )
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import load, save
 from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
 from gbid.structure import LinearModel
 

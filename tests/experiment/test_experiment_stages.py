@@ -8,8 +8,8 @@ from experiment_files import SPRING, copy_results, write_quick, write_spring, wr
 from places import EXPERIMENTS
 from places import MEASURED as SHARED
 
+from gbid import load
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import load
 from gbid.experiment.fields import content_key
 from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import true_model, true_values

@@ -11,10 +11,9 @@ from experiment_files import gbid as command
 from experiment_files import write_quick
 
 import gbid
-from gbid import control
+from gbid import control, load
 from gbid.control.assessment import TunedDesign
 from gbid.core.errors import UsageError
-from gbid.core.hdf5 import load
 from gbid.experiment.controllers import design_structure, made_goal, no_disturbance, peak_cap
 from gbid.experiment.goal_schema import GOALS
 from gbid.experiment.load import experiment_json_schema, load_experiment

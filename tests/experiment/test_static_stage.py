@@ -7,7 +7,7 @@ import pytest
 from experiment_files import STAIRS, copy_results, json_of, printed_by, write_quick
 from json_keys import assert_keys
 
-from gbid.core.hdf5 import load
+from gbid import load
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage

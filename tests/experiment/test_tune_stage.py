@@ -11,11 +11,11 @@ from json_keys import assert_keys
 from typer.testing import CliRunner
 
 import gbid
+from gbid import load
 from gbid.cli.main import app
 from gbid.control import compare_designs
 from gbid.control.assessment import TunedDesign
 from gbid.core.files import share_folder
-from gbid.core.hdf5 import load
 from gbid.experiment.controllers import controller_at, design_structure
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage

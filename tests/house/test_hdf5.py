@@ -14,7 +14,7 @@ import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5.file import add_attribute
-from gbid.core.hdf5.types import _TYPES
+from gbid.stored import TYPES
 
 THING = hdf5.FileKind("thing", "make it again")
 
@@ -186,7 +186,7 @@ def test_load_knows_each_type_with_a_file_of_its_own():
         for value in vars(import_module(name)).values():
             if isinstance(value, type) and issubclass(value, hdf5.InFile) and value is not hdf5.InFile:
                 kinds.add((value.FILE.name, value))
-    known = {(name, getattr(import_module(module), made)) for name, (module, made) in _TYPES.items()}
+    known = {(name, getattr(import_module(module), made)) for name, (module, made) in TYPES.items()}
     assert kinds == known
 
 

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from typing_extensions import TypeAliasType
 
+from gbid import load, save
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import NOT_STORED, Stored, load, save
+from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.structure import LinearModel
 
 

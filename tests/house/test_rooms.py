@@ -1,6 +1,7 @@
 """The house keeps its rooms: no import circle between files, folders and files of a size that a reader can survey."""
 
 import ast
+import re
 from collections import Counter
 from functools import cache
 
@@ -123,3 +124,15 @@ def test_only_the_room_of_structures_asks_for_their_kind():
         if KINDS & {node.id for node in ast.walk(call.args[1]) if isinstance(node, ast.Name)}
     ]
     assert not asking
+
+
+def test_the_lowest_room_names_no_other_for_an_import_at_run_time():
+    named = re.compile(r"gbid\.(?!core\b)[a-z_]+(\.\w+)*")
+    found = [
+        f"{name}: {node.value}"
+        for name, tree in trees().items()
+        if name.startswith("gbid.core")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and named.fullmatch(node.value)
+    ]
+    assert found == []

@@ -7,9 +7,9 @@ import pytest
 from study_rig import machine_at, truth_at
 
 import gbid
+from gbid import load, save
 from gbid.core import hdf5
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import load, save
 from gbid.prefilter import identify_runout, prefilter
 from gbid.prefilter.filtering import PrefilterFile, PrefilterReport, correction_rows
 from gbid.prefilter.runout import shaft_motion

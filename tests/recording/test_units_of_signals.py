@@ -8,8 +8,8 @@ from rig_point import actuator, rotor_bearing
 from scipy.io import loadmat
 
 import gbid
+from gbid import load, save
 from gbid.core.errors import UsageError
-from gbid.core.hdf5 import load, save
 from gbid.core.units import SIGNALS
 from gbid.prefilter import prefilter
 from gbid.prefilter.filtering import PrefilterFile, correction_rows, correction_table

@@ -13,11 +13,10 @@ from experiment_files import gbid as command
 from figure_cases import BlankPictures
 
 import gbid
-from gbid import report
+from gbid import load, report
 from gbid.control import GainStatus
 from gbid.control.assessment import TunedDesign
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import load
 from gbid.core.tables import engineering, value_of
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job

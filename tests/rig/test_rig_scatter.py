@@ -10,13 +10,13 @@ from experiment_files import gbid, write_quick
 from rig_point import machine, modes, rotor_bearing
 
 from gbid.core.errors import UsageError
-from gbid.core.published import PUBLISHED_RMS
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import true_values
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.structures import make_structure
+from gbid.lpv.model import PUBLISHED_RMS
 from gbid.recording import find_problems, load_recording
 from gbid.rig import Faults, PiezoStacks, Prbs, RotorBearingTruth, Scatter, SensorChain, record, saturations
 from gbid.rig.machine import scatter_random, scattered

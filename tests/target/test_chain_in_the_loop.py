@@ -11,8 +11,8 @@ from chain_cases import design
 from experiment_files import gbid as command
 
 import gbid
+from gbid import load
 from gbid.control import ImpactStudy
-from gbid.core.hdf5 import load
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.experiment.stages.impact import planned_impacts, recording_result

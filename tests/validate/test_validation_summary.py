@@ -7,8 +7,8 @@ import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 from rig_point import machine
 
+from gbid import load, save
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import load, save
 from gbid.core.tables import write_csv
 from gbid.identify import fit
 from gbid.identify.data import select

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache, partial
-from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType, NoneType, UnionType
+from types import NoneType, UnionType
 from typing import (
     Annotated,
     Any,
@@ -24,7 +23,6 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
-    overload,
 )
 
 import h5py
@@ -41,7 +39,6 @@ from gbid.core.hdf5.file import (
     read_attribute,
     read_dataset,
     read_group,
-    read_text,
     read_texts,
     reading,
     where,
@@ -637,21 +634,6 @@ class InFile:
         return read_fields(group, cls)
 
 
-_TYPES = MappingProxyType(
-    {
-        "fit": ("gbid.identify", "FitResult"),
-        "impact": ("gbid.control", "ImpactStudy"),
-        "lpv_fit": ("gbid.lpv", "LPVFit"),
-        "piezo_curve": ("gbid.prefilter", "PiezoCurve"),
-        "prefilter": ("gbid.prefilter.filtering", "PrefilterFile"),
-        "recording": ("gbid.recording", "Recording"),
-        "static_map": ("gbid.prefilter", "StaticMap"),
-        "table": ("gbid.identify", "FitTable"),
-        "tuning": ("gbid.control.assessment", "TunedDesign"),
-        "validation_summary": ("gbid.validate", "ValidationSummary"),
-    }
-)
-"""Type of the value in a kind of file. It lies above this package, and is imported when such a file is loaded."""
 F = TypeVar("F", bound=InFile)
 DOCUMENT = "document"
 """Dataset of the plain values that pages show of a value."""
@@ -706,36 +688,7 @@ def document_in(file: h5py.File) -> Any:
     return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 
-@overload
-def load(path: str | Path, kind: type[F]) -> F: ...
-@overload
-def load(path: str | Path, kind: None = None) -> Any: ...
-def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
-    """Return the value in an HDF5 file of `save`.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    kind : type, optional
-        Type that the value must have, e.g. ``gbid.FitResult``; by default the type that the file names.
-
-    Returns
-    -------
-    Recording, FitResult, FitTable or another value with a file of its own
-        The value, bit for bit.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, damaged, incomplete, of another kind or of another version of gbid.
-    """
-    if kind is None:
-        with reading(path) as file:
-            name = read_text(file, "gbid_kind")
-        if name not in _TYPES:
-            raise DataError(f"{path}: a {name} file; `gbid.load` reads {', '.join(_TYPES)}")
-        module, made = _TYPES[name]
-        kind = getattr(import_module(module), made)
+def load(path: str | Path, kind: type[F]) -> F:
+    """Return the value of a kind in an HDF5 file of `save`; errors as those of `gbid.load`."""
     with reading(path, kind.FILE) as file:
         return kind.from_hdf5(file)

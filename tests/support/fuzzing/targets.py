@@ -25,11 +25,11 @@ from fuzzing.byte_mutations import flip_bits, mutate_bytes, overwrite
 from fuzzing.hdf5_mutations import mutate_hdf5
 from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
+from gbid import load, save
 from gbid.control import HalfSine
 from gbid.control.assessment import TunedDesign
 from gbid.core.errors import ChangedFileWarning, GbidError
 from gbid.core.files import is_changed, share_folder, with_checksum, with_text_checksum
-from gbid.core.hdf5 import load, save
 from gbid.core.tables import csv_text, plain_table
 from gbid.core.yaml_file import read_yaml, write_yaml
 from gbid.experiment.load import load_experiment
