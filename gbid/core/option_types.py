@@ -1,17 +1,35 @@
-"""Types of options and arguments with their bounds, and functions that take a dataclass of options by keywords."""
+"""Types of options and arguments with their bounds, the check of values by them, and functions that take options."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
-from functools import cache, wraps
-from typing import Annotated, Any, Concatenate, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
+import math
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import MISSING, InitVar, dataclass, fields
+from functools import cache, cached_property, partial, reduce, wraps
+from operator import or_
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+import numpy.typing as npt
+from annotated_types import Ge, Gt, Le, Lt
 
-from gbid.core.errors import nearest
+from gbid.core.errors import UsageError, nearest
 
 
 @dataclass(frozen=True)
@@ -119,8 +137,6 @@ def check_options(options: Any, owner: str = "") -> None:
     made, defaults = _defaults_of(kind)
     given = {name: value for name, default in defaults if (value := getattr(options, name)) is not default}
     if given:
-        from gbid.core.option_check import check_fields  # with pydantic
-
         check_fields(made, given, owner)
 
 
@@ -148,16 +164,312 @@ def plain(value: Any) -> Any:
 
 
 def checks_arguments(constructor: _Constructor) -> _Constructor:
-    """Return the ``__init__`` of a class that checks its arguments, see `gbid.core.option_check.check_call`."""
+    """Return the ``__init__`` of a class that checks its arguments, see `check_call`."""
 
     @wraps(constructor)
     def checked(*args: Any, **keywords: Any) -> None:
-        from gbid.core.option_check import check_call
-
         check_call(constructor, args, keywords)
         constructor(*args, **keywords)
 
     return cast(_Constructor, checked)
+
+
+# ---- Check of a value by its type: pydantic decides, and one line names the option, its value and what is allowed.
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedType:
+    """Type of an option or argument; the check by pydantic is made when a value is checked first."""
+
+    hint: Any
+
+    @cached_property
+    def _validate(self) -> Callable[[Any], Any]:
+        from pydantic import (
+            TypeAdapter,  # here and below: the import takes longer than that of all that is small in gbid
+        )
+
+        return TypeAdapter(_pydantic_type(self.hint), config={"strict": True}).validator.validate_python
+
+    def allows(self, value: Any) -> bool:
+        """Return whether the type allows a value."""
+        try:
+            self._validate(value)
+        except ValueError:  # of pydantic
+            return False
+        return True
+
+
+def check_fields(made: type, values: Mapping[str, Any], owner: str) -> None:
+    """Check values of fields of a dataclass, see `check_options`."""
+    kinds = _kinds_of(made)
+    for name, value in values.items():
+        if not kinds[name].allows(value):
+            raise _not_allowed(owner, name, value, kinds[name].hint)
+
+
+@cache
+def _kinds_of(made: type) -> dict[str, CheckedType]:
+    return {name: CheckedType(hint) for name, hint in types_of(made).items()}
+
+
+def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any]) -> None:
+    """Check each argument of a call against the annotation of the function, and that no number is nan.
+
+    Raises
+    ------
+    UsageError
+        For the first argument that its annotation does not allow; names it, its value, and what is allowed.
+    TypeError
+        When an argument is missing, or when there is none of its name.
+    """
+    owner, (signature, kinds) = function.__qualname__.removesuffix(".__init__"), _annotated(function)
+    try:
+        arguments = signature.bind(*given, **keywords).arguments
+    except TypeError as error:
+        unknown = next((name for name in keywords if name not in signature.parameters), None)
+        hint = f"; {nearest(unknown, signature.parameters)}" if unknown else ""
+        raise TypeError(f"{owner}() {error}{hint}") from None
+    for name, value in arguments.items():
+        parameter, kind = signature.parameters[name], kinds.get(name)
+        if kind is None:
+            continue
+        is_named, is_listed = parameter.kind is parameter.VAR_KEYWORD, parameter.kind is parameter.VAR_POSITIONAL
+        for each in value.values() if is_named else value if is_listed else [value]:
+            if not kind.allows(each):
+                raise _not_allowed(owner, name, each, kind.hint, _other_way_round(owner, name, each, kinds))
+            if _has_nan(each):
+                raise UsageError(f"{owner}: {name} = {_short(each)}; give a finite number", name)
+
+
+def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, CheckedType]) -> str:
+    """Return words for a first argument that belongs into the second place."""
+    first, second = [*kinds, "", ""][:2]
+    swapped = name == first and second and kinds[second].hint is not Any and kinds[second].allows(value)
+    return f"; the order is the other way round: {owner}({first}, {second})" if swapped and value is not None else ""
+
+
+@cache
+def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, CheckedType]]:
+    """Return the signature of a function and the types of its arguments, of options as well."""
+    signature, hints = inspect.signature(function), get_type_hints(inspect.unwrap(function), include_extras=True)
+    if hasattr(function, "options_kind"):
+        hints |= types_of(function.options_kind)
+    return signature, {name: CheckedType(hints[name]) for name in signature.parameters if name in hints}
+
+
+def _has_nan(value: Any) -> bool:
+    """Return whether a number is nan, also within lists and mappings; arrays of data may contain it."""
+    if isinstance(value, list | tuple | Mapping) and len(value) <= 1000:
+        return any(map(_has_nan, value.values() if isinstance(value, Mapping) else value))
+    return isinstance(value, float | np.floating) and math.isnan(value)
+
+
+def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -> UsageError:
+    """Return the error for a value; of a list or a mapping it names the first entry that its type does not allow."""
+    place = name
+    while (entry := _first_wrong_entry(kind, value)) is not None:
+        key, value, kind = entry
+        place = f"{place}[{key!r}]"
+    words = list(dict.fromkeys(_words(kind)))
+    verb = "choose" if all(word.startswith("'") for word in words) else "give"
+    return UsageError(f"{owner}{': ' if owner else ''}{place} = {_short(value)}; {verb} {_either(words)}{also}", name)
+
+
+def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
+    """Return key, value and type of the first entry that is not allowed; None where the whole is not."""
+    while get_origin(kind) is Annotated and not any(isinstance(mark, Allowed) for mark in get_args(kind)):
+        kind = get_args(kind)[0]
+    if get_origin(kind) in (Union, UnionType):
+        kinds = [each for each in get_args(kind) if each is not NoneType]
+        return _first_wrong_entry(kinds[0], value) if len(kinds) == 1 else None
+    origin, args = get_origin(kind), get_args(kind)
+    if not isinstance(origin, type) or not issubclass(origin, Collection):
+        return None
+    if not isinstance(value, Mapping | list | tuple) or issubclass(origin, Mapping) != isinstance(value, Mapping):
+        return None
+    entries: Iterable[tuple[Any, Any, Any]]
+    if isinstance(value, Mapping):
+        if not all(_allows(args[0], key) for key in value):
+            return None
+        entries = ((key, each, args[1]) for key, each in value.items())
+    elif origin is tuple and args[-1:] != (...,):
+        if len(value) != len(args):
+            return None
+        entries = zip(range(len(value)), value, args, strict=True)
+    else:
+        entries = ((number, each, args[0]) for number, each in enumerate(value))
+    return next((entry for entry in entries if not _allows(entry[2], entry[1])), None)
+
+
+def _short(value: Any) -> str:
+    """Return a value as a message shows it: on one line, and the type alone where its text would be long."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    try:
+        text = repr(value)
+    except Exception:  # of a class of the user
+        text = "\n"
+    kind, name = type(value).__name__, getattr(value, "name", "")
+    if type(value).__module__.startswith("gbid.") and isinstance(name, str) and name:
+        return f"the {kind} {name!r}"
+    return text if len(text) <= 120 and "\n" not in text and " object at 0x" not in text else f"a value of type {kind}"
+
+
+def _allows(hint: Any, value: Any) -> bool:
+    return CheckedType(hint).allows(value)
+
+
+def _pydantic_type(kind: Any) -> Any:
+    """Return the type by which pydantic checks the values of a type.
+
+    A number may be one of numpy, a list or tuple any collection, a path a text, and an array whatever numpy makes one
+    of. Values of other classes are told by ``isinstance``.
+    """
+    from pydantic import AllowInfNan, BeforeValidator, InstanceOf
+
+    origin, args = type_parts(kind)
+    made: Any  # types made here are no types for mypy
+    if isinstance(kind, InitVar | TypeVar):
+        return _pydantic_type(kind.type if isinstance(kind, InitVar) else kind.__bound__ or Any)
+    if origin is Annotated:
+        if any(isinstance(mark, Own) for mark in args):
+            return Any
+        bounds: list[Any] = [mark for mark in args[1:] if isinstance(mark, Gt | Ge | Lt | Le)]
+        if any(isinstance(mark, Exact) and mark.finite for mark in args):
+            bounds.append(AllowInfNan(False))
+        if args[0] in (float, int):
+            return Annotated[(args[0], *bounds, BeforeValidator(_number))]
+        made = _pydantic_type(args[0])
+        made = Annotated[(made, *bounds)] if bounds else made
+        return made | str if any(isinstance(mark, OneText) for mark in args) else made
+    if origin in (Union, UnionType):
+        return reduce(or_, map(_pydantic_type, _alternatives(kind)))
+    if origin is Literal:
+        return _only(lambda value: any(type(value) is type(each) and value == each for each in args))
+    if kind is ArrayOfNumbers or origin is np.ndarray:
+        return _only(partial(_is_array, _array_kind(kind), kind is ArrayOfNumbers))
+    if origin is Callable or kind is Callable:
+        return _only(callable)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        made = dict
+        made = made[_pydantic_type(args[0]), _pydantic_type(args[1])]
+        return Annotated[made, BeforeValidator(lambda value: dict(value) if isinstance(value, Mapping) else value)]
+    if isinstance(origin, type) and issubclass(origin, Iterable):
+        each = [entry if entry is ... else _pydantic_type(entry) for entry in args]
+        made = tuple
+        made = made[(*each,)] if origin is tuple else made[each[0], ...]
+        made = Annotated[made, BeforeValidator(partial(_entries, issubclass(origin, Sequence)))]
+        return made if issubclass(origin, Collection) else made | InstanceOf[Iterator[Any]]  # not to be used up
+    if kind in (float, int, complex):
+        return Annotated[kind, BeforeValidator(_number)]
+    if kind in (bool, str, None, NoneType, Any, object) or isinstance(kind, ParamSpec | str):
+        return Any if isinstance(kind, ParamSpec | str) else kind
+    made = os.PathLike if kind is Path else origin or kind
+    return _only(lambda value: isinstance(value, made) and (made is type or not isinstance(value, type)))
+
+
+def _only(test: Callable[[Any], bool]) -> Any:
+    """Return a type for pydantic of the values that pass a test."""
+    from pydantic import PlainValidator
+
+    def tested(value: Any) -> Any:
+        if not test(value):
+            raise ValueError
+        return value
+
+    return Annotated[Any, PlainValidator(tested)]
+
+
+def _number(value: Any) -> Any:
+    """Return a number of numpy as one of Python; ValueError for whole numbers that no array holds."""
+    if type(value) is int and abs(value) >= 1 << 63:
+        raise ValueError
+    return value.item() if isinstance(value, np.generic | np.ndarray) and value.ndim == 0 else value
+
+
+def _entries(ordered: bool, value: Any) -> Any:
+    """Return the entries of a collection, of which texts and mappings are none here, nor sets where order counts."""
+    is_single = (isinstance(value, np.ndarray) and value.ndim == 0) or not isinstance(value, Collection)
+    if is_single or isinstance(value, str | bytes | bytearray | Mapping) or (ordered and isinstance(value, Set)):
+        raise ValueError
+    return tuple(value)
+
+
+class ArrayOfNumbers:
+    """Mark in place of ``numpy.typing.ArrayLike``, a union of types that allows texts."""
+
+
+@cache
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """Return the alternatives of a union, with `ArrayOfNumbers` for those of ``numpy.typing.ArrayLike``."""
+    args, array = get_args(kind), get_args(npt.ArrayLike)
+    if not set(array) <= set(args):
+        return args
+    return (ArrayOfNumbers, *(each for each in args if each not in array))
+
+
+def _array_kind(hint: Any) -> str:
+    """Return the kind of the numbers of a type of arrays, as of ``numpy.dtype.kind``; "c" for what becomes an array."""
+    if hint is ArrayOfNumbers:
+        return "c"
+    return np.dtype(next(iter(get_args(type_parts(hint)[1][1])), object)).kind
+
+
+def _is_array(wanted: str, single: bool, value: Any) -> bool:
+    """Return whether numpy makes an array of a value whose numbers are of a kind."""
+    if value is None or isinstance(value, str | bytes | Mapping | Set | type):
+        return False
+    if wanted == "O":
+        return isinstance(value, np.ndarray | list | tuple)
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError, RuntimeError, NotImplementedError):  # rows of different lengths; CasADi's symbols
+        return False
+    if (array.ndim == 0 and not single) or (array.dtype.kind == "O" and not isinstance(value, np.ndarray)):
+        return False
+    allowed = {"f": "biuf", "i": "biu", "u": "biu", "b": "b", "c": "biufcO", "U": "UO", "M": "M"}
+    return array.dtype.kind in allowed.get(wanted, wanted)
+
+
+def _words(kind: Any) -> list[str]:
+    """Return what a type allows, in words: each of its alternatives."""
+    origin, args = type_parts(kind)
+    if isinstance(kind, InitVar):
+        return _words(kind.type)
+    if kind is ArrayOfNumbers or origin is np.ndarray:
+        return ["an array of real numbers" if _array_kind(kind) == "f" else "an array"]
+    if origin is Annotated:
+        stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
+        bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le | Lt)]
+        return stated or [f"{_either(_words(args[0]))}{' ' if bounds else ''}{' and '.join(bounds)}"]
+    if origin in (Union, UnionType):
+        return [word for each in _alternatives(kind) for word in _words(each)]
+    if origin is Literal:
+        return [repr(each) for each in args]
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return [f"a dict by name ({_either(_words(args[1]))})"]
+    if origin is tuple and args[-1:] != (...,):
+        return [f"({', '.join(_either(_words(each)) for each in args)})"]
+    if origin is Callable or kind is Callable:
+        return ["a function"]
+    if origin is type:
+        return ["a class"]
+    if origin is not None:
+        return [f"a list ({_either(_words(args[0]))})"]
+    named = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", NoneType: "None"}
+    return [named.get(kind) or str(getattr(kind, "__name__", kind))]
+
+
+def _bound(mark: Gt | Ge | Le | Lt) -> str:
+    if isinstance(mark, Gt | Lt):
+        return f"above {mark.gt}" if isinstance(mark, Gt) else f"below {mark.lt}"
+    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
+
+
+def _either(words: list[str]) -> str:
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 # ---- Functions that take a dataclass of options by keywords.

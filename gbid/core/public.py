@@ -46,7 +46,7 @@ def attach(
 
 @cache
 def checked(function: Any, around: Around | None = None) -> Any:
-    """Return a public function: it checks its arguments, see `gbid.core.option_check.check_call`.
+    """Return a public function: it checks its arguments, see `gbid.core.option_types.check_call`.
 
     It runs with one thread of BLAS: matrices are small, and threads that wait for each other take several times the
     processor time. ``progress=True`` shows steps on one line. Calls within a call of a public function are not checked.
@@ -58,7 +58,7 @@ def checked(function: Any, around: Around | None = None) -> Any:
             return function(*args, **keywords)
         from gbid.core.arrays import one_blas_thread
         from gbid.core.brief import progress_line
-        from gbid.core.option_check import check_call
+        from gbid.core.option_types import check_call
 
         is_shown = keywords.get("progress") is True
         with progress_line() if is_shown else nullcontext() as line:

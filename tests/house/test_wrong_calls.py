@@ -96,13 +96,13 @@ def test_a_copy_with_other_values_is_checked():
 
 def test_calls_within_a_public_call_are_not_checked(monkeypatch):
     calls, data = [], simulated(MODE, MODE_AT, levels(60), noise=0.1)
-    monkeypatch.setattr("gbid.core.option_check.check_call", lambda function, *_: calls.append(function.__name__))
+    monkeypatch.setattr("gbid.core.option_types.check_call", lambda function, *_: calls.append(function.__name__))
     gbid.fit(MODE, data, max_iterations=1)
     assert calls == ["fit"]
 
 
 def test_the_check_is_not_imported_before_a_call():
-    code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_check'} & set(sys.modules)"
+    code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_types'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
