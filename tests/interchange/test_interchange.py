@@ -158,7 +158,7 @@ def test_mat_file_holds_the_model(make, tmp_path):
 
 def test_mat_file_of_a_sampled_model_and_a_fit(tmp_path):
     assert read(save_mat(published().discretise(2e-4), tmp_path / "sampled.mat"))["Ts"] == 2e-4
-    fit = replace(some_fit(), structure="rotor_bearing")  # whose channels are in metres
+    fit = some_fit().changed(structure="rotor_bearing")  # whose channels are in metres
     data = read(save_mat(fit, tmp_path / "fitted.mat"))
     np.testing.assert_array_equal(data["K"], fit.model.K)
     assert texts(data["InputUnit"]) == ["m"]
