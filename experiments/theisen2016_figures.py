@@ -77,6 +77,11 @@ class PaperResults(Results):
         """Model behind the rig, which must exist."""
         return self.published_machine.model
 
+    @property
+    def published(self) -> bool:
+        """Whether the machine is that of the paper."""
+        return self.rig is not None and self.rig.name == "theisen2016"
+
     def fit_with(self, structure: str) -> str:
         """Return the name of the first fit with a structure."""
         names = (name for name, section in self.experiment.spec.fits.items() if section.structure == structure)
