@@ -164,16 +164,12 @@ def rms_or_one(values: FloatArray) -> FloatArray:
     return np.where(size > 0, size, 1.0)
 
 
-def covariance_root(covariance: FloatArray, least: float = -np.inf) -> FloatArray:
-    """Return R with R R' equal to a covariance, which may be singular and badly scaled.
-
-    R has one column for each direction whose scaled eigenvalue is above `least` times the largest.
-    """
+def covariance_root(covariance: FloatArray) -> FloatArray:
+    """Return R with R R' equal to a covariance, which may be singular and badly scaled."""
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > least * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0)) * scale[:, None])
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])
 
 
 def _positive(matrix: FloatArray) -> FloatArray:

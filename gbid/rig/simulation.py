@@ -30,7 +30,7 @@ from gbid.rig.excitation import (
 from gbid.rig.machine import ActuatorTruth, Machine, RigRun, RotorBearingTruth, Scatter, scatter_random, scattered
 from gbid.rig.response import MIN_OVERSAMPLING, Forces, draw_noise, draw_whirl, driven_motion, unbalance_orbit
 from gbid.rig.sensors import TURN, ProgramController, SampledController, encoder_angle, quantised, runout
-from gbid.rig.stepping import AlongCourse, ProgramLoop, SteppedMotion, Surfaces, stepped_motion
+from gbid.rig.stepping import ProgramLoop, SteppedMotion, Surfaces, stepped_motion, truths_along
 
 # ---- Faults of the measuring chain that are put into recordings on purpose, to test whether they are detected.
 
@@ -215,7 +215,7 @@ class _Run:
     time: FloatArray
     pressure_bar: FloatArray
     speed_rpm: FloatArray
-    along: AlongCourse | None
+    along: tuple[RotorBearingTruth, ...]
     rejected: int
 
     @property
@@ -287,7 +287,7 @@ def record(machine: Machine, experiment: Experiment, options: RecordOptions) -> 
     if isinstance(experiment, Hammer):
         force = experiment.force(run.time[logged])
         signals["f"] = force + sensors.noise_f_n * noise_f.standard_normal(force.shape)
-    if run.along is not None:
+    if run.along:
         signals |= {"pressure_bar": run.pressure_bar[logged, None], "speed_rpm": run.speed_rpm[logged, None]}
     if options.stacks or isinstance(experiment, StackStaircase):
         if isinstance(machine.actuator, ActuatorTruth):
@@ -327,7 +327,8 @@ def _posed(
     first = start.uniform(0.0, TURN)  # angle when the simulation begins
     turning = replace(turning, start=first + turning.speed * n_settle * sample_time)
     times: FloatArray = np.asarray((np.arange(n + 1) - n_settle) * sample_time, np.float64)
-    along, rejected = None, 0
+    along: tuple[RotorBearingTruth, ...] = ()
+    rejected = 0
     pressure, speed = np.full(n, options.conditions.get("pressure_bar", 0.0)), turning.speed_at(times[:-1]) / RPM
     if isinstance(experiment, ScheduledRun):
         machine, along, rejected = _along_course(machine, experiment, options, times[:-1])
@@ -373,7 +374,7 @@ def _rotation(experiment: Experiment, conditions: Mapping[str, float]) -> Turnin
 
 def _along_course(
     machine: Machine, experiment: ScheduledRun, options: RecordOptions, times: FloatArray
-) -> tuple[Machine, AlongCourse, int]:
+) -> tuple[Machine, tuple[RotorBearingTruth, ...], int]:
     """Return the machine at the start of a course, its parameters on the way, and the number of rejected draws.
 
     A recording with scatter deviates from the surfaces by the same amounts all the way, which are drawn at the middle
@@ -389,8 +390,8 @@ def _along_course(
         drawn, rejected = scattered(known, options.scatter, random)
         nominal = known.key_parameters()
         deviation = {key: value - nominal[key] for key, value in drawn.key_parameters().items()}
-    along = AlongCourse.of(options.surfaces, experiment.course, times, deviation)
-    return replace(machine, rotor_bearing=along.truths[0]), along, rejected
+    along = truths_along(options.surfaces, experiment.course, times, deviation)
+    return replace(machine, rotor_bearing=along[0]), along, rejected
 
 
 def _motion(run: _Run, sensor: FloatArray, shown: FloatArray) -> SteppedMotion:
@@ -479,7 +480,7 @@ def _provenance(run: _Run, motion: SteppedMotion) -> dict[str, str]:
         "experiment": as_json({type(run.experiment).__name__: asdict(run.experiment)}),
         "rig": as_json({"oversampling": options.oversampling, "settle_s": options.settle_s, **rig, **effects}),
     }
-    if run.along is None and machine.film is None:  # else no fourteen parameters are the truth
+    if not run.along and machine.film is None:  # else no fourteen parameters are the truth
         texts["truth"] = as_json(machine.rotor_bearing.key_parameters())
     if controller is not None:
         program = {"program": controller.name, "sample_time": controller.sample_time}

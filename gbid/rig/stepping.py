@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -235,8 +235,11 @@ def step_arrays(
     )
 
 
-def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepState:
-    """Return the state of rest under the first commands of the stacks `base`, shape (4,) [m or V]."""
+def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray, delay: float) -> StepState:
+    """Return the state of rest under the first commands of the stacks `base`, shape (4,) [m or V].
+
+    The history of u reaches back over `delay`, the longest delay of the run [steps].
+    """
     n_controller = 0 if arrays.controller is None else len(arrays.controller.A)
     stack, plays = np.zeros((3, 4)), np.zeros((N_PLAYS, 4))
     n_creep = 0 if arrays.stacks is None else len(arrays.stacks.creep)
@@ -255,7 +258,7 @@ def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepSt
         rotor[0:2] = -np.linalg.solve(machine.rotor_bearing.stiffness, machine.rotor_bearing.input_gain @ u)
     else:
         gas = equilibrium(machine.film).copy()
-    kept = int(np.ceil(arrays.rotor[DELAY].max())) + 1
+    kept = int(np.ceil(delay)) + 1
     return StepState(
         rotor, np.zeros(2), stack, plays, creep, np.zeros(n_controller), np.zeros(2), np.tile(u, (kept + 1, 1)), gas
     )
@@ -577,66 +580,47 @@ PIECE = 10
 """Samples with constant parameters of rotor and bearing, those in the middle."""
 
 
-@dataclass(frozen=True, eq=False)
-class AlongCourse:
-    """Parameters of rotor and bearing in each piece of a run.
+def truths_along(
+    surfaces: Surfaces, course: Course, times: FloatArray, deviation: Mapping[str, float] | None = None
+) -> tuple[RotorBearingTruth, ...]:
+    """Return the parameters of rotor and bearing at the middle of each piece of `PIECE` samples of a run.
 
-    Attributes
+    Parameters
     ----------
-    truths : tuple of RotorBearingTruth
-        Parameters of each piece of `PIECE` samples.
+    surfaces : callable
+        True surfaces.
+    course : Course
+        Pressure and speed.
+    times : (n,) array
+        Times of the samples [s].
+    deviation : dict of str to float, optional
+        Deviation of this recording from the surfaces.
+
+    Raises
+    ------
+    UsageError
+        When the rotor is unstable or a delay is negative on the way.
     """
+    step = times[1] - times[0]
+    middles = np.array([times[i : i + PIECE].mean() + step / 2 for i in range(0, len(times), PIECE)])
+    values = surfaces(*course.at(middles))
+    columns = {k: np.broadcast_to(np.asarray(v, float), middles.shape) for k, v in values.items()}
+    columns = {k: column + (deviation or {}).get(k, 0.0) for k, column in columns.items()}
+    truths = tuple(
+        RotorBearingTruth.from_parameters({k: column[i] for k, column in columns.items()}) for i in range(len(middles))
+    )
+    for truth in truths[:: max(1, len(truths) // 200)]:
+        truth.check_stable()
+    return truths
 
-    truths: tuple[RotorBearingTruth, ...]
 
-    @classmethod
-    def of(
-        cls, surfaces: Surfaces, course: Course, times: FloatArray, deviation: Mapping[str, float] | None = None
-    ) -> AlongCourse:
-        """Return the parameters at the middle of each piece of a run.
-
-        Parameters
-        ----------
-        surfaces : callable
-            True surfaces.
-        course : Course
-            Pressure and speed.
-        times : (n,) array
-            Times of the samples [s].
-        deviation : dict of str to float, optional
-            Deviation of this recording from the surfaces.
-
-        Raises
-        ------
-        UsageError
-            When the rotor is unstable or a delay is negative on the way.
-        """
-        step = times[1] - times[0]
-        middles = np.array([times[i : i + PIECE].mean() + step / 2 for i in range(0, len(times), PIECE)])
-        values = surfaces(*course.at(middles))
-        columns = {k: np.broadcast_to(np.asarray(v, float), middles.shape) for k, v in values.items()}
-        columns = {k: column + (deviation or {}).get(k, 0.0) for k, column in columns.items()}
-        truths = tuple(
-            RotorBearingTruth.from_parameters({k: column[i] for k, column in columns.items()})
-            for i in range(len(middles))
-        )
-        for truth in truths[:: max(1, len(truths) // 200)]:
-            truth.check_stable()
-        return cls(truths)
-
-    def longest(self, arrays: StepArrays) -> StepArrays:
-        """Return the constants with the longest delay of each axis on the way."""
-        rotor = arrays.rotor.copy()
-        rotor[DELAY] = np.max([truth.delay for truth in self.truths], axis=0) / rotor[STEP]
-        return replace(arrays, rotor=rotor)
-
-    def arrays(self, arrays: StepArrays, sample: int) -> StepArrays:
-        """Return the constants of the simulation in the piece that contains a sample."""
-        truth, rotor = self.truths[sample // PIECE], arrays.rotor.copy()
-        matrices = (truth.stiffness, truth.damping, truth.input_gain)
-        rotor[BEARING] = np.concatenate([matrix.ravel() for matrix in matrices])
-        rotor[DELAY] = truth.delay / rotor[STEP]
-        return replace(arrays, rotor=rotor)
+def _at(arrays: StepArrays, truth: RotorBearingTruth) -> StepArrays:
+    """Return the constants of the simulation with other parameters of rotor and bearing."""
+    rotor = arrays.rotor.copy()
+    matrices = (truth.stiffness, truth.damping, truth.input_gain)
+    rotor[BEARING] = np.concatenate([matrix.ravel() for matrix in matrices])
+    rotor[DELAY] = truth.delay / rotor[STEP]
+    return replace(arrays, rotor=rotor)
 
 
 # ---- Motion of a nonlinear machine or of a control loop by time stepping in compiled C.
@@ -689,7 +673,7 @@ def stepped_motion(
     taken: FloatArray | None = None,
     program: ProgramLoop | None = None,
     stack_run: StackStaircase | None = None,
-    along: AlongCourse | None = None,
+    along: Sequence[RotorBearingTruth] = (),
     n_settle: int = 0,
     oversampling: int = MIN_OVERSAMPLING,
     wall: bool = True,
@@ -718,8 +702,8 @@ def stepped_motion(
         Correction that the controller subtracts from the measured position [m].
     program : ProgramLoop, optional
         Program that closes the loop in place of `controller`.
-    along : AlongCourse, optional
-        Parameters of rotor and bearing on the way, in place of those of the machine.
+    along : sequence of RotorBearingTruth, optional
+        Parameters of rotor and bearing in each piece of `PIECE` samples, in place of those of the machine.
     stack_run : StackStaircase, optional
         Staircase of one stack, which then does not follow the references of its pair.
     n_settle : int
@@ -753,8 +737,8 @@ def stepped_motion(
         stack = actuator.stacks[stack_run.stack - 1]
         top = stack.stroke if stack_run.controlled else stack.voltage_limit
         base[:, stack_run.stack - 1] = stack_run.command(top, n, sample_time, n_settle)
-    longest = arrays if along is None else along.longest(arrays)
-    state = rest_state(longest, machine, base[0] if n else np.zeros(4))
+    delays = [arrays.rotor[DELAY], *(truth.delay / arrays.rotor[STEP] for truth in along)]
+    state = rest_state(arrays, machine, base[0] if n else np.zeros(4), float(np.max(delays)))
     orbit, velocity = forces.orbit_at_start()
     state.rotor[0:2] += orbit
     state.rotor[2:4] += velocity
@@ -764,10 +748,10 @@ def stepped_motion(
     for first in range(0, n, _CHUNK):
         last = min(first + _CHUNK, n)
         on_grid = forces.between(first, last, oversampling)
-        for begin in range(first, last, _CHUNK if along is None else PIECE):
-            part = slice(begin, last if along is None else min(begin + PIECE, last))
+        for begin in range(first, last, PIECE if along else _CHUNK):
+            part = slice(begin, min(begin + PIECE, last) if along else last)
             grid = slice(2 * oversampling * (part.start - first), 2 * oversampling * (part.stop - first) + 1)
-            here = arrays if along is None else along.arrays(arrays, begin)
+            here = _at(arrays, along[begin // PIECE]) if along else arrays
             chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part], speed[part])
             rows[part] = (
                 run_steps(here, state, chunk)
