@@ -18,6 +18,7 @@ from annotated_types import Ge, Le
 
 from gbid import control, lpv
 from gbid._version import __version__
+from gbid.control.loop.close import too_slow_for
 from gbid.core.arrays import FloatArray, Point, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
@@ -774,25 +775,6 @@ def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point 
         )
     if slow := too_slow_for(design.at() if point is None else design.at(*point), design.sample_time):
         raise UsageError(f"controller {design.name!r}{where}: {slow}")
-
-
-def too_slow_for(law: LinearModel, sample_time: float) -> str:
-    """Return in words that a continuous controller has a pole beyond half the sampling frequency; else nothing.
-
-    Parameters
-    ----------
-    law : LinearModel
-        Controller in continuous time.
-    sample_time : float
-        Time between samples [s].
-    """
-    fastest = float(np.abs(np.linalg.eigvals(law.A)).max(initial=0.0)) / (2 * np.pi)
-    if fastest < 0.5 / sample_time:
-        return ""
-    return (
-        f"sample_time = {sample_time:g} s is too slow for its pole at {fastest:.4g} Hz; at most {0.5 / fastest:.3g} s, "
-        "better a tenth of that"
-    )
 
 
 def _sums(

@@ -277,6 +277,25 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
     )
 
 
+def too_slow_for(law: LinearModel, sample_time: float) -> str:
+    """Return in words that a continuous controller has a pole beyond half the sampling frequency; else nothing.
+
+    Parameters
+    ----------
+    law : LinearModel
+        Controller in continuous time.
+    sample_time : float
+        Time between samples [s].
+    """
+    fastest = float(np.abs(np.linalg.eigvals(law.A)).max(initial=0.0)) / (2 * np.pi)
+    if fastest < 0.5 / sample_time:
+        return ""
+    return (
+        f"sample_time = {sample_time:g} s is too slow for its pole at {fastest:.4g} Hz; at most {0.5 / fastest:.3g} s, "
+        "better a tenth of that"
+    )
+
+
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
     """Return a sampled controller.
 

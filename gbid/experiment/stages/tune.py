@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from gbid import control, lpv
+from gbid.control.loop.close import too_slow_for
 from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import GbidError, nearest
 from gbid.core.files import scratch_folder
@@ -41,7 +42,6 @@ from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.fit import fit_result, load_made_fit
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.export.chain import too_slow_for
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
