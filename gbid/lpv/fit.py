@@ -110,7 +110,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
     notes: tuple[str, ...] = ()
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write all fields but the model, of which a file beside it has the text."""
+        """Write all fields but the model to the empty `group`; a file beside it has the model."""
         hdf5.write_fields(group, self)
         group.attrs.update({"model": self.model.name, "success": self.success})
         hdf5.add_texts(group, "parameters", KEY_PARAMETERS)
@@ -119,12 +119,12 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", words)
 
     def write_beside(self, path: Path, overwrite: bool) -> None:
-        """Write the model beside the file `path`, to a model file with the ending .yaml."""
+        """Write the model beside the file `path`, with the ending .yaml; `overwrite` as for `gbid.save`."""
         save_model(self.model, path.with_suffix(".yaml"), overwrite)
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> LPVFit:
-        """Return the fit in a file, with the model in the model file beside it."""
+        """Return the fit in a `group` of `to_hdf5`, with the model in the model file beside its file."""
         path = Path(group.file.filename).with_suffix(".yaml")
         fit = hdf5.read_fields(group, LPVFit, model=load_model(path))
         stored = hdf5.read_dataset(group, "coefficients")

@@ -626,7 +626,7 @@ class InFile:
         write_fields(group, self)
 
     def write_beside(self, path: Path, overwrite: bool) -> None:
-        """Write what a value has in a file of another format beside its own at `path`; most have nothing."""
+        """Write the file of another format that some values have beside `path`; `overwrite` as for `save`."""
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> Self:
