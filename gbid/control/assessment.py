@@ -116,7 +116,7 @@ class PointAssessment:
         return {name: figure.of(self) for name, figure in FIGURES.items()}
 
 
-class Figure(NamedTuple):
+class ComparedFigure(NamedTuple):
     """Figure by which designs are compared: heading, value at a point, factor and format of tables."""
 
     heading: str
@@ -127,20 +127,22 @@ class Figure(NamedTuple):
 
 
 FIGURES = {
-    "damping": Figure("smallest damping", lambda q: q.damping, lowest_is_worst=True),
-    "peak_output": Figure("peak S_o", lambda q: q.peak_output.value),
-    "peak_control": Figure("peak K S_o", lambda q: q.peak_control.value),
-    "disk_margin": Figure("disk margin", lambda q: q.disk.alpha, lowest_is_worst=True),
-    "static_amplification": Figure("static S_o", lambda q: q.static_amplification),
-    "stiffness_ratio": Figure(
+    "damping": ComparedFigure("smallest damping", lambda q: q.damping, lowest_is_worst=True),
+    "peak_output": ComparedFigure("peak S_o", lambda q: q.peak_output.value),
+    "peak_control": ComparedFigure("peak K S_o", lambda q: q.peak_control.value),
+    "disk_margin": ComparedFigure("disk margin", lambda q: q.disk.alpha, lowest_is_worst=True),
+    "static_amplification": ComparedFigure("static S_o", lambda q: q.static_amplification),
+    "stiffness_ratio": ComparedFigure(
         "stiffness ratio", lambda q: min(q.stiffness_ratio) if q.stable else -inf, lowest_is_worst=True
     ),
-    "slowest_decay_hz": Figure("slowest decay [Hz]", lambda q: q.slowest_decay_hz, format=".1f", lowest_is_worst=True),
-    "impact_p_m": Figure("disc [µm]", lambda q: q.impact_p_m, 1e6, ".2f"),
-    "stack_travel_m": Figure("stack [µm]", lambda q: q.stack_travel_m, 1e6, ".2f"),
-    "decay_time_s": Figure("decay [ms]", lambda q: q.decay_time_s, 1e3, ".1f"),
-    "sampled_damping": Figure("sampled damping", lambda q: q.sampled_damping, lowest_is_worst=True),
-    "sampled_peak_output": Figure("sampled peak S_o", lambda q: q.sampled_peak_output.value),
+    "slowest_decay_hz": ComparedFigure(
+        "slowest decay [Hz]", lambda q: q.slowest_decay_hz, format=".1f", lowest_is_worst=True
+    ),
+    "impact_p_m": ComparedFigure("disc [µm]", lambda q: q.impact_p_m, 1e6, ".2f"),
+    "stack_travel_m": ComparedFigure("stack [µm]", lambda q: q.stack_travel_m, 1e6, ".2f"),
+    "decay_time_s": ComparedFigure("decay [ms]", lambda q: q.decay_time_s, 1e3, ".1f"),
+    "sampled_damping": ComparedFigure("sampled damping", lambda q: q.sampled_damping, lowest_is_worst=True),
+    "sampled_peak_output": ComparedFigure("sampled peak S_o", lambda q: q.sampled_peak_output.value),
 }
 """Figures by name."""
 

@@ -36,7 +36,7 @@ from .uncertainty.curves import (
     pole_zero as pole_zero,
     time_response as time_response,
 )
-from .spectra import (
+from .frequency_data import (
     DelayEstimate as DelayEstimate,
     MeasuredResponse as MeasuredResponse,
     estimate_delay as estimate_delay,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from math import floor, log10
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +23,12 @@ from gbid.core.tables import (
     probability,
     shown_unit,
 )
-
-if TYPE_CHECKING:
-    from gbid.identify.result import FitResult
-    from gbid.structure import LinearModel
+from gbid.structure.models import LinearModel
 
 # ---- Document of a fit: plain values in SI units for tables and JSON.
 
 
-def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
+def parameter_rows(result: Any, truth: Mapping[str, float]) -> list[Row]:
     """Return estimates with standard deviations and, where known, true values.
 
     Parameters
@@ -72,7 +69,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
     return rows
 
 
-def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+def mode_rows(result: Any, truth: LinearModel | None) -> list[Row]:
     """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
     modes = result.model.modes()
     known = truth.modes() if truth is not None else []
@@ -93,7 +90,7 @@ def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+def gain_rows(result: Any, truth: LinearModel | None) -> list[Row]:
     """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
     model = result.model
     try:
@@ -114,7 +111,7 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def profile_rows(result: FitResult) -> list[Row]:
+def profile_rows(result: Any) -> list[Row]:
     """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
     return [
         {
@@ -129,9 +126,7 @@ def profile_rows(result: FitResult) -> list[Row]:
     ]
 
 
-def fit_document(
-    result: FitResult, truth: Mapping[str, float] | None = None, true_model: LinearModel | None = None
-) -> Row:
+def fit_document(result: Any, truth: Mapping[str, float] | None = None, true_model: LinearModel | None = None) -> Row:
     """Return the document of a fit, with true values beside the estimates where they are known."""
     truth = truth or {}
     outputs, starts = result.model.output_names, result.multi_start

@@ -23,7 +23,15 @@ from gbid.identify.problem.integration import REFINING, at_working_point
 from gbid.identify.problem.nlp import extra_notes
 from gbid.identify.problem.solve import TOLERANCES, forces_of_bounds
 from gbid.identify.problem.states import decay_notes, released_states
-from gbid.identify.result import Diagnosis, Estimates, FitResult, FitStatus, Provenance, StdKind, Uncertainty
+from gbid.identify.result import (
+    FitDiagnosis,
+    FitEstimates,
+    FitProvenance,
+    FitResult,
+    FitStatus,
+    FitUncertainty,
+    StdKind,
+)
 from gbid.identify.start.scheduled_start import centre_tie
 from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.covariance import (
@@ -54,7 +62,7 @@ def judge(optimum: Optimum) -> FitResult:
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(task.data.output_units)
     short = {name: assembly.own_names.get(name, name) for name in parameters}
     return FitResult(
-        Estimates(
+        FitEstimates(
             structure=task.structure.name,
             parameters=parameters,
             units={name: units[short[name]] for name in parameters},
@@ -67,7 +75,7 @@ def judge(optimum: Optimum) -> FitResult:
             disturbances=task.disturbances,
             error_models=judged.error_models,
         ),
-        Uncertainty(
+        FitUncertainty(
             std=judged.std,
             covariance=judged.covariance,
             covariance_white=spread.white,
@@ -81,7 +89,7 @@ def judge(optimum: Optimum) -> FitResult:
             integration_shift=judged.integration_shift,
             profiler=judged.profiler,
         ),
-        Diagnosis(
+        FitDiagnosis(
             status=judged.status,
             optimality=optimum.solution.rest,
             error_covariance=residuals.mean_square,
@@ -90,7 +98,7 @@ def judge(optimum: Optimum) -> FitResult:
             **judged.scores,
             notes=tuple(note for check in CHECKS for note in check(judged)),
         ),
-        Provenance(
+        FitProvenance(
             recordings=tuple(each.name for each in task.data.records or task.responses),
             options=task.options.settled(
                 intersample=check_holds(task.hold, len(task.data.input_names)),
@@ -439,7 +447,7 @@ class Judged:
 
     @cached_property
     def scores(self) -> dict[str, float]:
-        """Loss, likelihood and criteria for the number of parameters: fields of `Diagnosis`."""
+        """Loss, likelihood and criteria for the number of parameters: fields of `FitDiagnosis`."""
         at, mean_square, responses = self.estimate, self.residuals.mean_square, self.residuals.responses
         if responses is not None:
             loss, likelihood, k = responses.loss, responses.log_likelihood, len(at.theta)

@@ -16,7 +16,6 @@ from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbances_of
 from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.frequency_fit import check_linear, refuse_other_options, response_start
-from gbid.identify.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
 from gbid.identify.kernel.gaps import with_kalman_gains
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.options import FitArguments
@@ -29,6 +28,7 @@ from gbid.identify.problem.assemble import (
     full_start,
     with_extra_terms,
 )
+from gbid.identify.problem.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
 from gbid.identify.problem.integration import REFINING, Refinement, integrated_finely, refinement
 from gbid.identify.problem.nlp import RecordGroup, Shooting

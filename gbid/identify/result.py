@@ -211,7 +211,7 @@ class Phase:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimates(Brief):
+class FitEstimates(Brief):
     """Estimates of a fit, and the model that they make.
 
     Attributes
@@ -256,14 +256,14 @@ class Estimates(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty(Brief):
+class FitUncertainty(Brief):
     """Covariance of the estimates of a fit, and what follows from it.
 
     Attributes
     ----------
     std : dict of str to float
         Standard deviations from `covariance`. They are 0 for a fixed parameter, and nan for a parameter on a bound,
-        without effect for the focus, or not determined by the data (see `Diagnosis.notes`).
+        without effect for the focus, or not determined by the data (see `FitDiagnosis.notes`).
     covariance_white, covariance_robust : (n_free, n_free) array
         Covariance for white residuals, and for coloured residuals.
     trusted : {"white", "robust", "none"}
@@ -320,7 +320,7 @@ class Uncertainty(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Brief):
+class FitDiagnosis(Brief):
     """How good a fit is, and what is to be thought of it.
 
     Attributes
@@ -361,7 +361,7 @@ class Diagnosis(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Provenance(Brief):
+class FitProvenance(Brief):
     """What a fit was made of, and how.
 
     Attributes
@@ -417,20 +417,20 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
     Attributes
     ----------
-    estimate : Estimates
+    estimate : FitEstimates
         Parameters, initial states and the model.
-    uncertainty : Uncertainty
+    uncertainty : FitUncertainty
         Standard deviations, covariances and profiles.
-    diagnosis : Diagnosis
+    diagnosis : FitDiagnosis
         Status, loss, fit and notes.
-    provenance : Provenance
+    provenance : FitProvenance
         Recordings, options, start values and the way of the solver.
     """
 
-    estimate: Annotated[Estimates, hdf5.INLINE]
-    uncertainty: Annotated[Uncertainty, hdf5.INLINE]
-    diagnosis: Annotated[Diagnosis, hdf5.INLINE]
-    provenance: Annotated[Provenance, hdf5.INLINE]
+    estimate: Annotated[FitEstimates, hdf5.INLINE]
+    uncertainty: Annotated[FitUncertainty, hdf5.INLINE]
+    diagnosis: Annotated[FitDiagnosis, hdf5.INLINE]
+    provenance: Annotated[FitProvenance, hdf5.INLINE]
 
     structure = InGroup(lambda result: result.estimate.structure)
     parameters = InGroup(lambda result: result.estimate.parameters)

@@ -20,8 +20,7 @@ from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
 from gbid.identify import Profile
 from gbid.identify.data import select
-from gbid.identify.frequency_data import FrequencyData
-from gbid.identify.spectra import MeasuredResponse
+from gbid.identify.frequency_data import FrequencyData, MeasuredResponse
 from gbid.identify.start.black_box import SubspaceOrders
 from gbid.identify.uncertainty.curves import (
     LEVEL,

@@ -20,7 +20,7 @@ from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
 from gbid.identify.data import select
-from gbid.identify.spectra import measured_response
+from gbid.identify.frequency_data import measured_response
 from gbid.recording.quality import runs
 from gbid.report import impact_pictures, loop_pictures, measured_pictures, model_pictures, surface_pictures
 from gbid.report.canvas import Drawn, save_figure, shown_by_pyplot

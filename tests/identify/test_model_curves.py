@@ -8,7 +8,7 @@ from scipy.signal import StateSpace, impulse, step, tf2ss
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import csv_text
 from gbid.identify import fit, time_response
-from gbid.identify.spectra import estimate_delay
+from gbid.identify.frequency_data import estimate_delay
 from gbid.identify.uncertainty.curves import _settling, ellipse, pole_zero
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
