@@ -15,7 +15,7 @@ import numpy as np
 
 from gbid import identify
 from gbid.core.errors import UsageError, nearest
-from gbid.core.tables import Column, Row, Table, formatted, in_unit, read_values, table_of_values, write_csv
+from gbid.core.tables import Cell, Column, Row, Table, formatted, read_values, table_of_values, write_csv
 from gbid.experiment.controllers import early_design, tuned_design
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Item, Location
@@ -119,7 +119,8 @@ class LoopCostRow:
 
 
 def _peak_words(row: LoopCostRow, peak: float) -> str:
-    return f"{row.peak_of} up to {in_unit(peak, row.peak_unit, 2)}"
+    cell = formatted(peak, _DIGITS, row.peak_unit)
+    return f"{row.peak_of} up to {cell.text if isinstance(cell, Cell) else '?'}"
 
 
 def cost_tables(rows: Sequence[LoopCostRow]) -> Iterator[Table]:
