@@ -1,9 +1,13 @@
 """The one-step-ahead predictor against a plain loop with scipy's exponential, its derivatives against differences."""
 
+import casadi as ca
 import numpy as np
 import pytest
+from compilers import NEEDS_COMPILER
 from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit_data, piezo_motion, predicted, smooth
 
+from gbid.discretise import exact
+from gbid.identify import predictor as predictors
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.linear import PortableLinearKernel
@@ -119,3 +123,51 @@ def test_a_pole_that_grows_by_orders_of_magnitude_stays_exact():
         np.testing.assert_allclose(at.G, [[-np.expm1(-a * H)]], rtol=1e-12)
         np.testing.assert_allclose(at.dF[0], [[-H * np.exp(-a * H)]], rtol=1e-11, atol=1e-15)
         np.testing.assert_allclose(at.dG[0], [[H * np.exp(-a * H)]], rtol=1e-11, atol=1e-15)
+
+
+def with_everything(n):
+    """A structure of n states whose entries all depend on parameters: two prompt inputs, two delayed ones, x0, K."""
+    random = np.random.default_rng(n)
+    a, b, c, d, k, late, x0 = (
+        random.normal(size=shape) for shape in ((n, n), (n, 4), (2, n), (2, 4), (n, 2), (n, 4), n)
+    )
+
+    def matrices(p):
+        return {
+            "A": p.a * ca.DM(a) - p.s * ca.DM.eye(n),
+            "B": p.b * ca.sparsify(ca.DM(b * [1, 1, 0, 0])),
+            "B_delayed": p.b * p.a * ca.sparsify(ca.DM(late * [1, 0, 0, 1])),
+            "delay": [p.early, 0, 0, p.late],
+            "C": p.c * ca.DM(c),
+            "D": p.d * ca.sparsify(ca.DM(d * [1, 0, 1, 0])),
+            "K": p.k * p.a * ca.DM(k),
+            "x0": p.x * ca.DM(x0),
+        }
+
+    values = {"a": 0.8, "s": 2.0, "b": 0.6, "c": 1.1, "d": 0.2, "k": 0.3, "x": 0.5, "early": 0.4 * H, "late": 7.3 * H}
+    return LinearStructure("all", [Parameter(q, v) for q, v in values.items()], matrices, "u", "y")
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+@pytest.mark.parametrize("holds", ["zoh", "foh", ("foh", "zoh", "foh", "foh")])
+@pytest.mark.parametrize("n", [1, 2, 4, 7, 12])
+def test_a_compiled_predictor_is_that_of_numpy(monkeypatch, n, holds, focus):
+    """In every part, at one point and at several, and with inputs that are fewer: the formulas exist twice."""
+    structure = with_everything(n)
+    disturbances = Disturbances(("a", "b"), (Trend(2), Trend(0, random_walk=True)), (1.3,))
+    options = {"disturbances": disturbances, "released": (True,) * n}
+    for more in ({}, options):
+        predictor = build_predictor(structure, {}, H, holds, focus, **more)
+        theta = np.array([q.start or 0.3 for q in predictor.free])
+        points = theta * np.linspace(1, 1 + 1e-6, 3)[:, None]
+        with monkeypatch.context() as numpy_alone:
+            expected = predictor.at(theta), *predictor.at_each(points)
+            numpy_alone.setattr(predictors, "compiled", lambda _: None)
+            numpy_alone.setattr(exact, "compiled", lambda _: None)
+            computed = predictor.at(theta), *predictor.at_each(points)
+        for ours, theirs in zip(computed, expected, strict=True):
+            assert ours.shift == theirs.shift == (0, 7)
+            for name in ("F", "G", "C", "H", "dF", "dG", "dC", "dH"):
+                mine, other = getattr(ours, name), getattr(theirs, name)
+                np.testing.assert_allclose(mine, other, rtol=0, atol=1e-13 * np.abs(other).max(), err_msg=name)
