@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gbid.cli.options import CommonOptions, files_ending, with_options
-from gbid.core import hdf5
-from gbid.identify.result import FitResult
 
 if TYPE_CHECKING:
     from gbid.control.assessment import TunedDesign
@@ -108,6 +106,8 @@ def compare(
     from gbid.cli.printing import print_json, print_tables
     from gbid.core.errors import UsageError
     from gbid.core.files import atomic_path
+    from gbid.core.hdf5 import load
+    from gbid.identify.result import FitResult
     from gbid.identify.start.black_box import subspace, subspace_orders
     from gbid.recording.recording import load_recording
     from gbid.report.write import comparison_text
@@ -117,7 +117,7 @@ def compare(
         raise UsageError("--on is missing: give the recordings on which the models are compared")
     if others := [path for path in (*on, *(plain or ())) if path.is_file() and path.suffix not in (".h5", ".hdf5")]:
         raise UsageError(f"{others[0]}: give a recording (.h5), as `gbid import` makes it of a file of a logger")
-    named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": hdf5.load(path, FitResult) for path in models}
+    named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": load(path, FitResult) for path in models}
     orders = None
     if plain:
         sources, first = [load_recording(path) for path in plain], next(iter(named.values())).options

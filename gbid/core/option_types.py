@@ -344,7 +344,10 @@ def _pydantic_type(kind: Any) -> Any:
         made = Annotated[(made, *bounds)] if bounds else made
         return made | str if any(isinstance(mark, OneText) for mark in args) else made
     if origin in (Union, UnionType):
-        return reduce(or_, map(_pydantic_type, _alternatives(kind)))
+        made = reduce(or_, map(_pydantic_type, _alternatives(kind)))
+        if ArrayOfNumbers in _alternatives(kind):  # rows of alternatives, such as lists of axes
+            made |= _only(lambda value: isinstance(value, list | tuple) and all(_allows(kind, each) for each in value))
+        return made
     if origin is Literal:
         return _only(lambda value: any(type(value) is type(each) and value == each for each in args))
     if kind is ArrayOfNumbers or origin is np.ndarray:

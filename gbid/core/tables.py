@@ -305,11 +305,11 @@ def in_unit(value: float, unit: str, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> in_unit(1.25e-6, "m")
-    '1.25 µm'
+    >>> in_unit(1.25e-6, "m"), in_unit(8.4e-6, "m")
+    ('1.25 µm', '8.40 µm')
     """
     factor, shown = shown_unit(unit)
-    return f"{factor * value:.{digits}g} {shown}".rstrip()
+    return f"{f'{factor * value:#.{digits}g}'.rstrip('.')} {shown}".rstrip()
 
 
 def keyed_table(

@@ -127,6 +127,7 @@ class KnownModel(Brief):
     model: LinearModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "noise", np.atleast_1d(self.noise))  # one number for all outputs
         check_options(self, "KnownModel")
         if kind_of(self.structure).nonlinear:
             raise UsageError(
@@ -143,7 +144,8 @@ class KnownModel(Brief):
         if not n_u:
             raise UsageError(f"structure {self.structure.name!r} has no inputs; there is nothing to excite")
         noise = np.asarray(self.noise, float)
-        noise = np.diag(np.broadcast_to(noise, (n_y,)) ** 2) if noise.ndim < 2 else noise
+        if noise.shape in ((1,), (n_y,)):
+            noise = np.diag(np.broadcast_to(noise, (n_y,)) ** 2)
         if noise.shape != (n_y, n_y) or not np.isfinite(noise).all() or np.linalg.eigvalsh(noise)[0] <= 0:
             raise UsageError(
                 f"noise of shape {np.shape(self.noise)}: give one positive standard deviation for each of the {n_y} "

@@ -222,6 +222,7 @@ def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColum
                 f"joined with {other!r}; import columns of one clock, or resample them with the program of the logger"
             )
     steps = {name: float(column.sample_time or 0.0) for name, column in columns.items()}
+    _refuse_other_rates(path, steps)
     step, start = min(steps.values()), max(column.start_ns or 0 for column in columns.values())
     offsets = {name: 1e-9 * (start - (column.start_ns or 0)) / steps[name] for name, column in columns.items()}
     firsts = {name: round(offset) for name, offset in offsets.items()}
@@ -245,6 +246,13 @@ def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColum
         )
         for name, column in columns.items()
     }
+
+
+def _refuse_other_rates(path: Path, steps: Mapping[str, float]) -> None:
+    first = min(steps.values())
+    if max(steps.values()) - first > MAX_DISAGREEMENT * first:
+        text = ", ".join(f"{name} {value:g} s" for name, value in steps.items())
+        raise DataError(f"{path}: columns have different sample times: {text}; import columns of one rate together")
 
 
 def _starts_in_words(columns: Mapping[str, FileColumn]) -> str:
@@ -449,10 +457,8 @@ def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, F
                 "give the sample time or the time column"
             )
         return mapping.sample_time
+    _refuse_other_rates(path, stated)
     first = min(stated.values())
-    if max(stated.values()) - first > MAX_DISAGREEMENT * first:
-        text = ", ".join(f"{name} {value:g} s" for name, value in stated.items())
-        raise DataError(f"{path}: columns have different sample times: {text}; import columns of one rate together")
     if mapping.sample_time is None:
         return float(f"{first:.12g}")  # times that are stored with rounding give equal sample times
     if abs(first - mapping.sample_time) > MAX_DISAGREEMENT * mapping.sample_time:

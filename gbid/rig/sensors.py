@@ -157,6 +157,7 @@ class SampledController(Brief):
     name: str = "controller"
 
     def __post_init__(self) -> None:
+        check_options(self, "SampledController")
         n = np.shape(self.A)[0] if np.ndim(self.A) == 2 else -1
         shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "D": (2, 2), "offset": (2,)}
         if self.runout is not None:

@@ -15,7 +15,7 @@ CHANGES = {
         ("    stop : {", "    loudness : float\n        Words of the first note.\n    stop : {"),
         ("    max_iterations: Count = 100\n", "    loudness: Positive = 1.0\n    max_iterations: Count = 100\n"),
     ],
-    "identify/judge.py": [("*optimum.notes,\n", '*optimum.notes, f"loudness {task.options.loudness:g}",\n')],
+    "identify/judge.py": [("(*optimum.notes, ", '(f"loudness {task.options.loudness:g}", *optimum.notes, ')],
 }
 
 SCRIPT = """

@@ -121,14 +121,14 @@ def test_windows_joined_and_cut_again_are_the_same_problem(problem):
 
 def test_no_other_gain_is_sought_where_errors_are_white_or_gains_are_known(problem):
     cut_up, unknowns = problem
-    box = np.full(len(unknowns), -np.inf), np.full(len(unknowns), np.inf)
-    assert lower_elsewhere(cut_up, unknowns, box) is not None  # far from a minimum something is lower
+    cut_up = replace(cut_up, box=(np.full(len(unknowns), -np.inf), np.full(len(unknowns), np.inf)))
+    assert lower_elsewhere(cut_up, unknowns) is not None  # far from a minimum something is lower
     gains = list(cut_up.noise)
-    held = tuple(edge.copy() for edge in box)
+    held = tuple(edge.copy() for edge in cut_up.box)
     held[0][gains] = held[1][gains] = unknowns[gains]
-    assert lower_elsewhere(cut_up, unknowns, held) is None
+    assert lower_elsewhere(replace(cut_up, box=held), unknowns) is None
     known = cut_up.prior._replace(information=np.where(np.isin(np.arange(cut_up.n_theta), gains), 1.0, 0.0))
-    assert lower_elsewhere(replace(cut_up, prior=known), unknowns, box) is None
+    assert lower_elsewhere(replace(cut_up, prior=known), unknowns) is None
     quiet = gbid.fit(gbid.RotorBearing(), shaken(seconds=1.0))
     assert FOUND not in quiet.notes
     assert SUSPECTED not in quiet.notes

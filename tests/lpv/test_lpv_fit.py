@@ -253,7 +253,7 @@ def test_draws_have_the_stated_covariance_and_positive_delays():
     wide = np.array([m.coefficients["k_xx"][0] for m in fit.draw(200, seed=2, scatter=True)])
     narrow = np.array([m.coefficients["k_xx"][0] for m in fit.draw(200, seed=2)])
     assert wide.std() > narrow.std()
-    hopeless = fit.changed(covariance=fit.covariance * 1e8)
+    hopeless = replace(fit, covariance=fit.covariance * 1e8)
     with pytest.raises(UsageError, match="too uncertain to draw"):
         hopeless.draw(10, seed=0)
 

@@ -65,7 +65,12 @@ def test_a_shorter_column_with_its_own_clock_ends_the_span(tmp_path):
 
 @pytest.mark.parametrize(
     ("late", "step", "words"),
-    [(0.4 * DT, DT, "off the others"), (LATE * DT, 1.001 * DT, "off the others"), (1.0, DT, "no common time")],
+    [
+        (0.4 * DT, DT, "off the others"),
+        (LATE * DT, 1.0005 * DT, "off the others"),
+        (0.0, 2 * DT, "different sample times"),
+        (1.0, DT, "no common time"),
+    ],
 )
 def test_clocks_that_no_whole_samples_join_are_refused(tmp_path, late, step, words):
     path = write_csv(tmp_path / "a.csv", *(each.tolist() for each in signals()), late=late, step=step)

@@ -135,7 +135,7 @@ def thousands(sign):
         (
             TWO_CLOCKS.replace(";b;", ";c;").replace("c\n", "b\n"),
             "a #1",
-            "of a sample off the others (the steps of their clocks differ)",
+            "columns have different sample times: a #1",
         ),
         (thousands("."), "a", "'1.000' may be a number of thousands"),
         (thousands(",").replace("0.", "0,"), "a", "'1,000' may be a number of thousands"),
