@@ -1,4 +1,4 @@
-"""Clock of imported recordings: sample time, gaps, doubled samples, and interpolation of jittering times."""
+"""Clock of imported recordings: sample time, units of times, columns with several clocks, gaps and jitter."""
 
 from __future__ import annotations
 
@@ -473,6 +473,7 @@ def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, F
 _LONGEST = 1e100  # s; no sum or square of such times overflows
 _SHORTEST_STEP, _LONGEST_STEP = 1e-6, 1.0  # s; sample times of rigs
 _SINCE_1970 = ((1e12, 1e13, "ms"), (1e15, 1e16, "us"), (1e18, 1e19, "ns"))
+_DAY = 86400.0  # s
 _DAYS = ((2e4, 8e4), (7e5, 8e5))  # days since 1900 of spreadsheets, and since the year 0 of MATLAB
 
 
@@ -510,9 +511,6 @@ def _unit_of_dates(path: Path, what: str, column: FileColumn) -> str:
         f"{path}: {what} begins at {first:.10g} with steps of {step:.3g}: days (steps of {step * _DAY:.3g} s) or "
         "seconds; give time_unit: day or time_unit: s"
     )
-
-
-_DAY = 86400.0
 
 
 def _unit_remark(path: Path, mapping: ImportMapping, columns: Mapping[str, FileColumn], step: float) -> tuple[str, ...]:

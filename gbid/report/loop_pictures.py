@@ -1,4 +1,4 @@
-"""Damping map: smallest damping factor over pressure and speed."""
+"""Figures of control loops: damping map, root locus, magnitudes, Pareto fronts, price of robustness, cycles."""
 
 from __future__ import annotations
 
