@@ -61,7 +61,7 @@ def test_the_readme_of_a_package_index_has_no_link_to_a_file_beside_it():
     for step in PROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
         text = re.sub(step["pattern"], step["replacement"], text)
     assert not re.findall(r"\]\((?!https?:)", text)
-    assert "Four ways in: rig engineers, MATLAB users" in text
+    assert "Method: the mathematics." in text
 
 
 def test_the_licence_of_each_dependency_is_named():
