@@ -1,4 +1,4 @@
-"""A process that has made a fit keeps the memory of its arrays for those that follow (decision 0228)."""
+"""A process that has made a fit keeps the memory of its arrays for those that follow (decision 0079)."""
 
 import json
 import platform
