@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 import scipy
 from annotated_types import Ge, Le
+from scipy.sparse.csgraph import connected_components
 
 from gbid import control, lpv
 from gbid._version import __version__
@@ -129,7 +130,8 @@ class ChainOptions:
     ramp_s : float
         Time in which the stacks go from zero to r_0 and back [s].
     fade_s : float
-        Time in which the control is faded in and out [s].
+        Time in which the control is faded in and out [s]. Meanwhile the states of the controller decay, and they are
+        zero while it is off.
     pressure_rate, speed_rate : float
         Fastest change of pressure [bar/s] and speed [rpm/s] that a schedule follows.
     number : {"double", "float"}
@@ -239,6 +241,10 @@ class ChainOptions:
             Time and time between samples [s].
         """
         return max(1, round(seconds / sample_time))
+
+
+FADE_FORGETS = 16.0
+"""Time of a fade over the time constant with which the states of the controller decay near its lower end."""
 
 
 # ---- Tables over pressure and speed with bilinear interpolation, as the generated source has them.
@@ -532,6 +538,11 @@ class Chain(Brief):
         return self.options.samples(self.options.fade_s, self.sample_time)
 
     @property
+    def forgetting(self) -> float:
+        """Share of its states that the controller forgets in a sample while its fade is near zero."""
+        return min(1.0, FADE_FORGETS / self.fade_samples)
+
+    @property
     def point_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Range of pressure and speed that the schedules cover."""
         tables = [t for t in (self.controller, self.harmonics) if t is not None and t.is_scheduled]
@@ -568,6 +579,9 @@ class Chain(Brief):
 
 # ---- Anti-windup gain of a sampled controller of any structure.
 
+_NEARLY_ONE = 1.0 - 1e-9
+"""Factor of A in the Riccati equation, so that an integrator that no output shows does not prevent its solution."""
+
 
 def anti_windup_gain(controller: LinearModel) -> FloatArray:
     r"""Return the gain L by which the states follow a saturated output.
@@ -575,9 +589,11 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
     .. math:: x_{k+1} = A x_k + B e_k + L (\mathrm{sat}(w_k) - w_k), \quad w_k = C x_k + D e_k
 
     During saturation the states obey ``A - L C``. L is the stationary Kalman gain of the controller whose input e is
-    white noise and whose output has noise of the size of its immediate response. For a PI controller this is
-    back-calculation with a tracking time of 1.4 times the integral time. For a controller with invertible D it is close
-    to the conditioning technique, ``L = B D^-1``. A fast filter gets a small gain, because it forgets by itself.
+    white noise and whose output i has noise of the size of its immediate response, the largest norm of row i of D, CB
+    and CAB (of the next ``C A^k B`` where these are zero). For a PI controller this is back-calculation with a tracking
+    time of 1.4 times the integral time. For a controller with invertible D it is close to the conditioning technique,
+    ``L = B D^-1``. A fast filter gets a small gain, because it forgets by itself. Axes that share no state and no
+    channel are solved one by one, so that the gain of an axis does not depend on another.
 
     Parameters
     ----------
@@ -587,7 +603,7 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
     Returns
     -------
     (n_states, n_outputs) array
-        L; zero when no input reaches an output, or when a state that does not decay reaches none.
+        L; its column is zero for an output that no input reaches.
 
     Notes
     -----
@@ -595,22 +611,32 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
     method, Automatica 23, 729-739.
     """
     A, B, C, D = (np.array(getattr(controller, letter), float) for letter in "ABCD")
-    none = np.zeros((len(A), len(C)))
-    if not A.size:
-        return none
-    size, column = float(np.linalg.norm(D, 2)), B
-    for _ in range(2):
-        size, column = max(size, float(np.linalg.norm(C @ column, 2))), A @ column
-    if size == 0:
-        return none
-    Q, S = B @ B.T, B @ D.T
-    R = D @ D.T + size**2 * np.eye(len(C))
-    try:
-        P = scipy.linalg.solve_discrete_are(A.T, C.T, Q, R, s=S)
-    except np.linalg.LinAlgError:  # an integrator that no output shows, or that no input drives
-        return none
-    gain = np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + S).T).T
-    return np.asarray(np.where(np.abs(gain) < 1e-12 * np.abs(gain).max(), 0.0, gain))  # axes that do not mix
+    n, n_y = len(A), len(C)
+    result, columns = np.zeros((n, n_y)), np.insert(np.hstack([A, B]), [n] * n_y, 0.0, axis=1)
+    links = np.vstack([columns, np.insert(np.hstack([C, D]), [n] * n_y, 0.0, axis=1)])
+    links = np.vstack([links, np.zeros((links.shape[1] - len(links), links.shape[1]))])
+    count, axis = connected_components(links != 0, directed=False)
+    for k in range(count):
+        x, y, e = (np.flatnonzero(part == k) for part in np.split(axis, [n, n + n_y]))
+        result[np.ix_(x, y)] = _axis_gain(A[np.ix_(x, x)], B[np.ix_(x, e)], C[np.ix_(y, x)], D[np.ix_(y, e)])
+    return result
+
+
+def _axis_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
+    """Return the anti-windup gain of channels that belong together."""
+    result, column = np.zeros((len(A), len(C))), B
+    size = np.linalg.norm(D, axis=1)
+    for k in range(len(A)):
+        response = np.linalg.norm(C @ column, axis=1)
+        size, column = np.where((k < 2) | (size == 0), np.maximum(size, response), size), A @ column
+    driven = size > 0
+    if not (driven.any() and len(A)):
+        return result
+    C, D, A = C[driven], D[driven], _NEARLY_ONE * A
+    S, R = B @ D.T, D @ D.T + np.diag(size[driven] ** 2)
+    P = scipy.linalg.solve_discrete_are(A.T, C.T, B @ B.T, R, s=S)
+    result[:, driven] = np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + S).T).T
+    return result
 
 
 # ---- Control chain from a controller design and run-out maps, with checks that it can run.

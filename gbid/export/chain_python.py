@@ -170,7 +170,8 @@ class PythonChain:
         wanted = [fade * _sum(terms, row, kinds) for terms in chain.outputs]
         r = [min(max(w, -limit), limit) for w, limit in zip(wanted, chain.limits, strict=True)]
         kinds["d"] = [a - b for a, b in zip(r, wanted, strict=True)]
-        state.x = [_sum(terms, row, kinds) for terms in chain.states]
+        keep = 1.0 - (1.0 - fade) * chain.forgetting if state.fade > 0 else 0.0
+        state.x = [keep * _sum(terms, row, kinds) for terms in chain.states]
 
         stacks = []
         for factors, (rest, low, high) in zip(chain.allocation, chain.commands, strict=True):

@@ -27,9 +27,10 @@ from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, scratch_folder
 from gbid.core.names import given_path, one_line
 from gbid.core.option_types import NotNegative, Positive
+from gbid.export.chain import anti_windup_gain, table_over_domain
 from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVModel
-from gbid.structure import LinearModel, LinearStructure, PiezoPair, Plant, RotorBearing, Values
+from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, Values
 from gbid.structure.delay import pade_matrices
 from gbid.structure.linear import Matrices, Structure, symbolic_matrices
 
@@ -212,7 +213,8 @@ class UnitController:
     Attributes
     ----------
     step : casadi.Function
-        (scheduling variables, states, measured outputs) -> (commands, states at the next sample).
+        (scheduling variables, states, measured outputs) -> (commands, states at the next sample without limits,
+        anti-windup gain).
     driven, measured : tuple of int
         Inputs of the plant that it commands, and outputs that it measures.
     sample_time, computation : float
@@ -234,11 +236,25 @@ def _controller_step(design: ControllerDesign) -> ca.Function:
     point = ca.SX.sym("point", 2 if isinstance(design.structure, Scheduled) else 0)
     if isinstance(design.structure, Scheduled):
         A, B, C, D = _tustin(design, design.structure, ca.vertsplit(point))
+        L = _scheduled_gain(design, design.structure, ca.vertsplit(point)).reshape(C.T.shape)
     else:
         model = design.sampled_at()
-        A, B, C, D = (ca.SX(ca.DM(np.array(letter))) for letter in (model.A, model.B, model.C, model.D))
+        letters = (model.A, model.B, model.C, model.D, anti_windup_gain(model))
+        A, B, C, D, L = (ca.SX(ca.DM(np.array(letter))) for letter in letters)
     x, y = ca.SX.sym("x", A.shape[0]), ca.SX.sym("y", D.shape[1])
-    return ca.Function("controller_step", [point, x, y], [ca.densify(C @ x + D @ y), ca.densify(A @ x + B @ y)])
+    results = [ca.densify(each) for each in (C @ x + D @ y, A @ x + B @ y, L)]
+    return ca.Function("controller_step", [point, x, y], results)
+
+
+def _scheduled_gain(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) -> ca.SX:
+    """Return the anti-windup gain, column by column, interpolated over the points of the schedule as in the chain."""
+    table = table_over_domain(lambda *at: anti_windup_gain(design.sampled_at(*at)).T.ravel(), structure.domain)
+    weight = ca.SX(1)
+    for nodes, value in zip((table.pressure_bar, table.speed_rpm), point, strict=True) if table.is_scheduled else ():
+        inside = ca.fmin(ca.fmax(value, nodes[0]), nodes[-1])
+        hats = [ca.pw_lin(inside, ca.DM(nodes), ca.DM(row)) for row in np.eye(len(nodes))]
+        weight = ca.kron(weight, ca.vertcat(*hats))
+    return ca.SX(ca.DM(table.rows)).T @ weight
 
 
 def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -248,10 +264,16 @@ def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) 
             f"controller {design.name!r}: a unit discretises scheduled gains by 'tustin', not by {design.method!r}; "
             "store the design with method='tustin'"
         )
-    every, matrices = symbolic_matrices(structure.base)
-    gains = Values(structure.gains(design.gains, *point))
-    values = ca.vertcat(*(ca.SX(gains[parameter.name]) for parameter in structure.base.parameters))
-    A, B, C, D = ca.substitute([matrices.A, matrices.B, matrices.C, matrices.D], [every], [values])
+    followed, gains = tuple(map(Parameter, structure.domain.variables)), Values(design.gains)
+    over_point = LinearStructure(
+        structure.name,
+        followed,
+        lambda p: structure.matrices(gains, *(p[each.name] for each in followed)),
+        structure.inputs,
+        structure.outputs,
+    )
+    every, matrices = symbolic_matrices(over_point)
+    A, B, C, D = ca.substitute([matrices.A, matrices.B, matrices.C, matrices.D], [every], [ca.vertcat(*point)])
     half, eye = design.sample_time / 2.0, ca.SX.eye(A.shape[0])
     inverse = ca.inv(eye - half * A) if A.shape[0] else eye
     C_sampled = C @ inverse
