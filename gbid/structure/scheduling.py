@@ -215,8 +215,12 @@ def scheduled(
     Raises
     ------
     UsageError
-        When a surface is no parameter of the structure, or a number is out of range.
+        When a surface is no parameter of the structure, a number is out of range, or the film of a bearing stiffens.
     """
+    if getattr(structure, "film", "linear") != "linear":
+        raise UsageError(
+            "scheduled: film = 'stiffening' is nonlinear, and a scheduled structure is linear; leave it out"
+        )
     names = [q.name for q in structure.parameters]
     variables = (scheduling,) if isinstance(scheduling, str) else tuple(scheduling)
     default = [n for n in KEY_PARAMETERS if n in names] or [q.name for q in structure.parameters if q.start != 0.0]

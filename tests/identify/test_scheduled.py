@@ -150,6 +150,11 @@ def test_coefficients_in_own_units_give_the_same_polynomial():
     np.testing.assert_allclose(by_hand, schedule.terms(points) @ coefficients, rtol=1e-9, atol=1e-9)
 
 
+def test_a_film_that_stiffens_is_refused():
+    with pytest.raises(UsageError, match="stiffening"):
+        gbid.scheduled(gbid.RotorBearing(film="stiffening"))
+
+
 def test_what_courses_do_not_determine_is_named():
     with pytest.raises(DataError, match="neither a signal nor a condition 'speed'"):
         gbid.fit(gbid.scheduled(BASE, "speed"), ramp())
