@@ -13,7 +13,9 @@ from gbid.identify.data import FitData, Record, centred_rows, column_variances
 from gbid.identify.pose import FitTask
 from gbid.structure.built_in import KEY_PARAMETERS
 
-_MOTION = 1e-3  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres
+_MOTION = 2e-4  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres, that of a
+# magnetic one some tenths of a millimetre
+_PER_CURRENT = "k_i_"  # parameters of `gbid.structure.RigidRotor`, one for each axis
 _GAIN = 300.0  # that of a resonance with a damping factor of 0.0017; a prefix of a unit is a factor of 1000 or more
 _ABOVE = 20.0  # times the value that 99 % of the samples keep: 50 standard deviations of Gaussian noise
 _ALONE = 10.0  # times the samples around: a response that decays has neighbours of its size
@@ -25,23 +27,32 @@ _SAME = 1e-2  # part of an input that no other explains, below which standard de
 def data_notes(task: FitTask) -> Iterator[str]:
     """Yield notes on the data of a fit that the fit itself cannot see.
 
-    With the key parameters of the paper in its structure all signals are motions in metres.
+    With the key parameters of the paper in its structure all signals are motions in metres; with those of magnetic
+    bearings the positions are, which are the last outputs.
     """
     data, left_out = task.data, task.options.left_out or {}
     if not data.records:
         return
-    if set(KEY_PARAMETERS) <= {q.name for q in task.parameters}:
-        yield from _units(data)
+    names, n_outputs = {q.name for q in task.parameters}, len(data.output_names)
+    axes = sum(name.startswith(_PER_CURRENT) for name in names)
+    if set(KEY_PARAMETERS) <= names:
+        pairs = [("outputs", slice(i, i + 2)) for i in range(0, n_outputs, 2)]
+        yield from _units(data, [("inputs", slice(0, 2)), *pairs])
+    elif axes:
+        yield from _units(data, [("outputs", slice(n_outputs - axes, n_outputs))])
     yield from _twins(data.records)
     yield from _same_inputs(data)
     for record in data.records:
         yield from _spikes(record, data.output_names, left_out.get(record.name, ()))
 
 
-def _units(data: FitData) -> Iterator[str]:
-    """Yield a note on motions that are no metres, by their size, and by the size of outputs over that of inputs."""
+def _units(data: FitData, motions: Sequence[tuple[str, slice]]) -> Iterator[str]:
+    """Yield a note on motions that are no metres, by their size, and by the size of each over that of the first.
+
+    `motions` are the channels of a signal each: "inputs" or "outputs", and their columns.
+    """
     for record in data.records:
-        sizes = [np.sqrt(column_variances(values[:, :2])) for values in (record.inputs, record.outputs)]
+        sizes = [np.sqrt(column_variances(getattr(record, side)[:, columns])) for side, columns in motions]
         largest = max(float(size.max(initial=0.0)) for size in sizes)
         if largest > _MOTION:
             yield FitNote.UNITS(
@@ -49,13 +60,15 @@ def _units(data: FitData) -> Iterator[str]:
                 "clearance of a bearing: give metres, as gbid.import_recording makes them from unit: um"
             )
             return
-        into, out = (float(np.linalg.norm(size)) for size in sizes)
-        if into > 0 and not 1 / _GAIN < out / into < _GAIN:
-            yield FitNote.UNITS(
-                f"recording {record.name!r}: the outputs are {out / into:.2g} times the inputs, where a bearing has a "
-                "gain of about one: are both in metres"
-            )
-            return
+        first, *others = (float(np.linalg.norm(size)) for size in sizes)
+        for (side, columns), size in zip(motions[1:], others, strict=True):
+            if first > 0 and not 1 / _GAIN < size / first < _GAIN:
+                names = ", ".join((data.input_names if side == "inputs" else data.output_names)[columns])
+                yield FitNote.UNITS(
+                    f"recording {record.name!r}: {names} are {size / first:.2g} times the inputs, where a bearing has "
+                    "a gain of about one: are both in metres"
+                )
+                return
 
 
 def _twins(records: Sequence[Record]) -> Iterator[str]:

@@ -5,6 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 import gbid
+from gbid.identify.data_notes import data_notes
+from gbid.identify.options import FitArguments
+from gbid.identify.pose import pose
 
 H = 2e-4
 
@@ -24,6 +27,10 @@ def disc(seed, n=4000, micrometre=1e-6, second=None):
     return u, p + 0.05 * micrometre * random.normal(size=p.shape)
 
 
+MODEL = gbid.load_model("theisen2016")
+PLANT_AT = {**MODEL.key_parameters(5.0, 0.0), **MODEL.actuators}
+
+
 def recording(u, p, name="run"):
     return gbid.Recording({"u": u, "p": p}, H, name=name)
 
@@ -41,10 +48,33 @@ def test_good_data_have_no_note(seed):
     assert not codes(bearing(recording(*disc(seed), "one"), recording(*disc(seed + 10), "two")))
 
 
-@pytest.mark.parametrize(("of_u", "of_p"), [(1e6, 1e6), (1e6, 1.0), (1.0, 1e6), (1e3, 1.0), (1.0, 1e3)])
-def test_micrometres_and_millimetres_are_no_metres(of_u, of_p):
+@pytest.mark.parametrize("factor", [1e6, 1e3])
+@pytest.mark.parametrize("wrong", ["u", "p", "up"])
+def test_micrometres_and_millimetres_are_no_metres(wrong, factor):
+    signals = {name: values * (factor if name in wrong else 1.0) for name, values in zip("up", disc(0), strict=True)}
+    assert codes(bearing(recording(**signals))) == {"GB133"}
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e3])
+@pytest.mark.parametrize("wrong", ["r", "u", "p", "ru", "rp", "up", "rup", ""])
+def test_each_motion_of_a_plant_counts(wrong, factor):
+    """Piezos without dynamics: u follows r."""
     u, p = disc(0)
-    assert codes(bearing(recording(of_u * u, of_p * p))) == {"GB133"}
+    noisy = u + 1e-8 * np.random.default_rng(1).normal(size=u.shape)
+    signals = {name: v * (factor if name in wrong else 1.0) for name, v in {"r": u, "u": noisy, "p": p}.items()}
+    task = pose(gbid.Plant(), gbid.Recording(signals, H), FitArguments(start=PLANT_AT))
+    assert ("GB133" in " ".join(data_notes(task))) == bool(wrong)
+
+
+@pytest.mark.parametrize("outputs", [("p",), ("i", "p")])
+@pytest.mark.parametrize(("factor", "told"), [(1e6, True), (1e3, True), (1.0, False)])
+def test_positions_in_magnetic_bearings_are_in_metres(outputs, factor, told):
+    rotor = gbid.structure.RigidRotor(k_s=-5e5, k_i=3.0)
+    structure = rotor if outputs == ("p",) else gbid.MagneticBearing(rotor, outputs=outputs)
+    u, p = disc(0)
+    current = 1e6 * u[:, :1]
+    rec = gbid.Recording({"i": current, "i_ref": current, "p": factor * p[:, :1]}, H)
+    assert ("GB133" in " ".join(data_notes(pose(structure, rec, FitArguments())))) == told
 
 
 def test_the_same_recording_twice_is_named():
