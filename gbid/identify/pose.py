@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from gbid.core.arrays import FloatArray, one_blas_thread
-from gbid.core.errors import UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
@@ -26,6 +26,7 @@ from gbid.identify.problem.assemble import (
     bounded,
     build_problem,
     full_start,
+    group_name,
     with_extra_terms,
 )
 from gbid.identify.problem.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
@@ -199,7 +200,7 @@ def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
     return [each for each in several if not isinstance(each, FrequencyData)], responses
 
 
-def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitTask:
+def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *, all_outputs: bool = False) -> FitTask:
     """Return the task of a fit: names and data checked, start values found.
 
     Raises
@@ -220,7 +221,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
         responses = [each.channels(inputs, outputs) for each in responses]
     if responses and not recordings:
         return _of_responses(structure, parameters, responses, options, given)
-    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True, irregular=True)
+    data = gather(recordings, inputs, outputs, minimum=2, gaps=True, irregular=True)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
     courses = read_courses(scheduled, recordings) if scheduled else None
@@ -231,6 +232,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     names = [record.name for record in data.records]
     states = initial_states(structure, parameters, options.initial_state, names)
     disturbances = disturbances_of(options, data.output_names, data.sample_time)
+    _check_numbers(structure, parameters, data, options, states, disturbances, responses)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data).at_even_times()
         if scheduled and courses:
@@ -251,6 +253,35 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
         courses,
         tuple(responses),
     )
+
+
+def _check_numbers(
+    structure: AnyStructure,
+    parameters: tuple[Parameter, ...],
+    data: FitData,
+    options: FitArguments,
+    states: InitialStates,
+    disturbances: Disturbances,
+    responses: Sequence[FrequencyData],
+) -> None:
+    """Refuse data with no more measured values than there are unknowns, over all recordings."""
+    left_out, local, records = options.left_out or {}, options.local or {}, data.records
+    numbers = len(options.prior or {}) + sum(2 * each.response.size for each in responses)
+    for record in records:
+        counts = np.ones_like(record.outputs, bool) if record.missing is None else ~record.missing
+        skipped = [i for start, stop in left_out.get(record.name, ()) for i in range(record.n_samples)[start:stop]]
+        numbers += int(np.delete(counts, skipped, axis=0).sum())
+    idle = kind_of(structure).anatomy().gain_only if options.focus == "simulation" else frozenset()
+    free = [q.name for q in parameters if not q.fixed and q.name not in idle]
+    sought = sum(len({group_name(r, local[name]) for r in records}) if name in local else 1 for name in free)
+    n_walks = len(disturbances.walking)
+    of_records = int((~states.known).sum()) + len(records) * (len(disturbances.terms) + n_walks)
+    if numbers <= sought + n_walks + of_records:
+        raise DataError(
+            f"the recordings have {numbers} measured values, and this fit has {sought + n_walks} parameters and "
+            f"{of_records} initial states and trends to estimate; fix some (fixed=..., initial_state=...), or record "
+            "more"
+        )
 
 
 def _of_responses(

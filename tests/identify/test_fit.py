@@ -490,7 +490,11 @@ BAD_DATA = {
         r"no recording moves u: the data do not determine g; fix each \(fixed=...\), or add a recording",
     ),
     "constant output": (with_column(GOOD, "y", 2.0), {}, r"channel 'y' is 2 throughout; the output is constant"),
-    "too few samples": (GOOD.slice(0, 12), {}, r"'data' has 12 samples; this fit needs at least 15"),
+    "too few samples": (
+        GOOD.slice(0, 7),
+        {},
+        r"have 7 measured values, and this fit has 5 parameters and 2 initial states and trends to estimate; fix some",
+    ),
     "sample times": ([GOOD, FASTER], {}, r"'data' and 'b' have different sample times: 0.1 s and 0.05 s"),
     "missing signal": (Recording({"u": GOOD.signal("u")}, H, name="half"), {}, r"'half' has no signal 'y'; it has u"),
     "missing channel": (GOOD, {"inputs": "u.x"}, r"signal 'u' has no channel 'x'; it has 1"),

@@ -498,7 +498,7 @@ def automatic_window(data: FitData, focus: Focus, n_states: int) -> int:
     ):
         usual, most = _WITH_GAPS, n
     most = min(most, max(1, _MOST_STATES // (LANES * max(n_states, 1))) * LANES)
-    return -(-n // min(LANES * -(-n // (usual * LANES)), most))
+    return max(2, -(-n // min(LANES * -(-n // (usual * LANES)), most)))
 
 
 def full_start(
