@@ -86,6 +86,7 @@ class FitNote(NoteKind):
     SAME_INPUTS = "GB136"
     LIKELY_ELSEWHERE = "GB138"
     REDUCED = "GB141"
+    DEPENDENT = "GB142"
 
 
 class DataNote(NoteKind):

@@ -69,6 +69,19 @@ class FitData:
     output_names: tuple[str, ...]
     output_units: tuple[str, ...]
 
+    def with_outputs(self, kept: Sequence[int]) -> FitData:
+        """Return the data with these of the outputs."""
+        records = (
+            replace(
+                record,
+                outputs=np.ascontiguousarray(record.outputs[:, kept]),
+                missing=None if record.missing is None else record.missing[:, kept],
+            )
+            for record in self.records
+        )
+        names, units = ([each[i] for i in kept] for each in (self.output_names, self.output_units))
+        return replace(self, records=tuple(records), output_names=tuple(names), output_units=tuple(units))
+
     @property
     def n_samples(self) -> int:
         """Number of samples in all records."""
@@ -239,6 +252,61 @@ def gather(
         records.append(Record(recording.name, *arrays, recording.conditions, missing, time))
     names = tuple(input_names), tuple(output_names), tuple(output_units)
     return FitData(tuple(records), recordings[0].sample_time, *names)
+
+
+def channels_of(recording: Recording, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the channels of a recording that signals or channels name, such as ``p.x``, one for each column."""
+    each = [(name, *_meant(recording, name)) for name in names]
+    return tuple(
+        name if channel or len(recording.channels[signal]) == 1 else f"{signal}.{one}"
+        for name, signal, channel in each
+        for one in ([channel] if channel else recording.channels[signal])
+    )
+
+
+# ---- Outputs that are combinations of others.
+
+_DEPENDENT = 1e-5  # of the size of an output: what others may leave of it; above, no error is so small in comparison
+
+
+@dataclass(frozen=True, eq=False)
+class Dependence:
+    """Output that is a linear combination of outputs before it, in all records.
+
+    Attributes
+    ----------
+    name : str
+        Channel.
+    weights : dict of str to float
+        Weights of the other outputs, by channel.
+    left, size : float
+        Standard deviation of what they leave of it, and of the output itself.
+    """
+
+    name: str
+    weights: Mapping[str, float]
+    left: float
+    size: float
+
+
+def dependent_outputs(data: FitData) -> tuple[Dependence, ...]:
+    """Return the outputs that combinations of outputs before them explain, up to a hundred-thousandth of their size."""
+    rows = [centred_rows(record.outputs) for record in data.records]
+    products = np.asarray(sum(each @ each.T for each in rows))
+    size = np.sqrt(np.diag(products))
+    if len(size) < 2 or not np.linalg.eigvalsh(products / np.outer(size, size))[0] < _DEPENDENT**2:
+        return ()
+    columns, kept, found = np.hstack(rows).T / size, [0], list[Dependence]()
+    for i in range(1, len(size)):
+        weights = np.linalg.lstsq(columns[:, kept], columns[:, i])[0]
+        left = float(np.linalg.norm(columns[:, i] - columns[:, kept] @ weights))
+        if left > _DEPENDENT:
+            kept.append(i)
+            continue
+        unit = size[i] / np.sqrt(data.n_samples)
+        named = {data.output_names[k]: w * size[i] / size[k] for k, w in zip(kept, weights.tolist(), strict=True)}
+        found.append(Dependence(data.output_names[i], named, left * unit, unit))
+    return tuple(found)
 
 
 def moves(values: FloatArray) -> BoolArray:

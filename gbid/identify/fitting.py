@@ -37,7 +37,11 @@ def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments)
         # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             result = best_attempt(task)
-    result = with_profiles(result, options.profile)
+            notes = _dependence_notes(task, result)
+            if not notes and any(each.name not in task.data.output_names for each in task.dependent):
+                task = pose(structure, recordings, options, all_outputs=True)
+                result = best_attempt(task)
+    result = with_profiles(result.noted(*notes), options.profile)
     if _means_may_matter(task, result):
         result = result.noted(*_note_of_means(structure, recordings, options, result))
     return result.changed(wall_time_s=time.perf_counter() - began)
@@ -73,6 +77,36 @@ def fit(structure: AnyStructure, recordings: Measured, options: FitArguments) ->
         After Ctrl-C.
     """
     return fitted(structure, recordings, options)
+
+
+# ---- Outputs that are combinations of others: their errors tell whether they are measured apart.
+
+_OF_ERROR = 1e-3  # what a combination leaves of an output, as a part of its error, below which none is measured apart
+_NAMED = 4  # outputs of a combination that a note names
+_NO_ERROR = 1e-6  # of the size of an output: errors of simulated data without noise
+
+
+def _dependence_notes(task: FitTask, result: FitResult) -> tuple[str, ...]:
+    """Return a note on each dependent output; none where one of them has errors of its own, or none at all."""
+    notes = []
+    for each in task.dependent:
+        weights = np.array([each.weights.get(name, 0.0) for name in task.data.output_names])
+        error = float(np.sqrt(weights @ result.error_covariance @ weights))
+        if not max(each.left / _OF_ERROR, each.size * _NO_ERROR) < error:
+            return ()
+        largest = sorted(each.weights, key=lambda name: -abs(each.weights[name]))[:_NAMED]
+        parts = [name for name in largest if abs(each.weights[name]) > _OF_ERROR * abs(each.weights[largest[0]])]
+        of = " + ".join(f"{each.weights[name]:.4g} {name}" for name in parts)
+        what = "tells nothing new, and the fit leaves it out"
+        if each.name in task.data.output_names:
+            what = (
+                "has no errors of its own to weight it by; leave it out of the structure, or fix what acts on it alone"
+            )
+        text = (
+            f"output {each.name!r} is a combination of others ({of}) to {each.left / error:.1g} of its error: it {what}"
+        )
+        notes.append(FitNote.DEPENDENT(text))
+    return tuple(notes)
 
 
 # ---- Profile likelihood of the estimates.
@@ -153,6 +187,8 @@ def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Measur
     in_time, responses = apart(recordings)
     known = [field.name for field in fields(result.options) if in_time or field.name in USED]
     settled = {name: getattr(result.options, name) for name in known}
+    if any(FitNote.DEPENDENT.value in note for note in result.notes):
+        settled["outputs"] = None
     again = fitted(structure, recordings, FitArguments(**{**settled, "start": start, "profile": ()}))
     n_samples = sum(rec.n_samples for rec in in_time) + sum(2 * each.response.size for each in responses)
     if again.free != result.free or not abs(np.log(again.loss / result.loss)) * n_samples < _SAME_LIKELIHOOD:

@@ -12,7 +12,7 @@ from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold
-from gbid.identify.data import FitData, gather
+from gbid.identify.data import Dependence, FitData, channels_of, dependent_outputs, gather
 from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbances_of
 from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.frequency_fit import check_linear, refuse_other_options, response_start
@@ -81,6 +81,8 @@ class FitTask:
         Scheduling variables of a scheduled structure.
     responses : tuple of FrequencyData
         Frequency responses that are fitted together with the recordings.
+    dependent : tuple of Dependence
+        Outputs that are combinations of others. The task leaves them out where no parameter acts on them alone.
     """
 
     structure: AnyStructure
@@ -94,6 +96,7 @@ class FitTask:
     begin: Begin
     courses: Courses | None
     responses: tuple[FrequencyData, ...] = ()
+    dependent: tuple[Dependence, ...] = ()
 
     @property
     def loss(self) -> RobustLoss | None:
@@ -203,6 +206,8 @@ def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
 def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *, all_outputs: bool = False) -> FitTask:
     """Return the task of a fit: names and data checked, start values found.
 
+    Outputs that are combinations of others are left out, but with `all_outputs`.
+
     Raises
     ------
     UsageError, DataError
@@ -223,6 +228,10 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *
         return _of_responses(structure, parameters, responses, options, given)
     data = gather(recordings, inputs, outputs, minimum=2, gaps=True, irregular=True)
     stated, structure = structure, equations_of(structure)
+    dependent = () if all_outputs or responses else dependent_outputs(data)
+    if dependent and (reduced := _reduced(structure, parameters, data, options, dependent, recordings[0])):
+        structure, parameters, data, options = reduced
+        stated = structure
     scheduled = kind_of(structure).scheduled
     courses = read_courses(scheduled, recordings) if scheduled else None
     if courses is not None and not inputs:
@@ -252,7 +261,42 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *
         begin,
         courses,
         tuple(responses),
+        dependent,
     )
+
+
+def _reduced(
+    structure: AnyStructure,
+    parameters: tuple[Parameter, ...],
+    data: FitData,
+    options: FitArguments,
+    dependent: Sequence[Dependence],
+    recording: Recording,
+) -> tuple[AnyStructure, tuple[Parameter, ...], FitData, FitArguments] | None:
+    """Return structure, parameters, data and options without the dependent outputs.
+
+    The disturbance gains of these outputs are zero. None where another parameter acts on them alone.
+    """
+    lost = {each.name for each in dependent}
+    kept = [i for i, name in enumerate(data.output_names) if name not in lost]
+    channels = channels_of(recording, options.outputs or ())
+    kind = kind_of(structure)
+    part = kind.with_outputs(kept, tuple(channels[i] for i in kept))
+    if part is None:
+        return None
+    whole, now = kind.anatomy(), kind_of(part).anatomy()
+    idle = whole.in_equations.union(*whole.in_x0) - now.in_equations.union(*now.in_x0)
+    if idle - whole.gain_only:
+        return None
+    parameters = tuple(Parameter(q.name, 0.0, fixed=True, unit=q.unit) if q.name in idle else q for q in parameters)
+    trend, weights = options.trend, options.output_weights
+    changed = replace(
+        options,
+        outputs=part.outputs,
+        trend={name: each for name, each in trend.items() if name not in lost} if isinstance(trend, Mapping) else trend,
+        output_weights=weights and [weights[i] for i in kept],
+    )
+    return part, parameters, data.with_outputs(kept), changed
 
 
 def _check_numbers(

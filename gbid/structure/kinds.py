@@ -91,6 +91,10 @@ class Kind(ABC):
     def without_inputs(self) -> AnyStructure:
         """Return the structure without its inputs, for free decays: states, outputs and disturbance gain remain."""
 
+    @abstractmethod
+    def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
+        """Return the structure with these of its outputs, by new names; None where its equations need all of them."""
+
 
 class LinearKind(Kind):
     """Linear structure with constant parameters."""
@@ -115,6 +119,21 @@ class LinearKind(Kind):
             return {letter: given[letter] for letter in ("A", "C", "K", "x0", "feedback") if letter in given}
 
         return LinearStructure(full.name, full.parameters, matrices, (), full.outputs, intersample=full.intersample)
+
+    def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
+        """Return the structure with these outputs; None for a loop that is closed in samples; see `Kind`."""
+        full, (p, m) = self._structure, symbolic_matrices(self._structure)
+        if m.feedback is not None:
+            return None
+        part = {"A": m.A, "B": m.B, "C": m.C[kept, :], "D": m.D[kept, :], "K": m.K[:, kept]}
+        part |= {"B_delayed": m.B_delayed, "delay": m.delay} if m.has_delay else {}
+        part |= {"x0": m.x0} if m.x0.numel() else {}
+        at = ca.Function("part", [p], list(part.values()))
+
+        def matrices(q: Any) -> Mapping[str, Any]:
+            return dict(zip(part, at.call([_stacked(full, q)]), strict=True))
+
+        return LinearStructure(full.name, full.parameters, matrices, full.inputs, names, intersample=full.intersample)
 
 
 class NonlinearKind(Kind):
@@ -147,6 +166,17 @@ class NonlinearKind(Kind):
             output=lambda x, _, p: full.output(x, rest, p),
             inputs=(),
             delay=None,
+        )
+
+    def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
+        """Return the structure with these outputs; see `Kind`."""
+        full, e = self._structure, symbolic_equations(self._structure)
+        y, K = ca.Function("y", [e.x, e.u, e.p], [e.y[kept]]), ca.Function("K", [e.p], [e.K[:, kept]])
+        return replace(
+            full,
+            output=lambda x, u, q: y(x, u, _stacked(full, q)),
+            outputs=names,
+            disturbance_gain=full.disturbance_gain and (lambda q: K(_stacked(full, q))),
         )
 
 
@@ -182,6 +212,11 @@ class ScheduledKind(Kind):
         """Return the structure itself, which needs its inputs; see `Kind`."""
         return self._structure
 
+    def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
+        """Return the structure on a base with these outputs; see `Kind`."""
+        base = kind_of(self._structure.base).with_outputs(kept, names)
+        return base and replace(self._structure, base=base)  # type: ignore[arg-type]  # linear, as its base
+
 
 @once
 def _linear_anatomy(structure: Structure, driven: Sequence[int] | None, moving: Sequence[int] | None) -> Anatomy:
@@ -212,6 +247,11 @@ def kind_of(structure: Any) -> Kind:
 
 kind_of.register(NonlinearStructure, NonlinearKind)
 kind_of.register(ScheduledStructure, ScheduledKind)
+
+
+def _stacked(structure: Structure | NonlinearStructure, values: Any) -> Any:
+    """Return parameters by name, symbols or numbers, as one column in the order of a structure."""
+    return ca.vertcat(*(values[q.name] for q in structure.parameters))
 
 
 def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:

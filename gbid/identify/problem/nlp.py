@@ -464,7 +464,10 @@ class Shooting:
         if self.criterion == "trace":
             total = self.output_weights @ np.diag(error_products) + self._floor
             return np.asarray(np.diag(self.output_weights) / total)
-        return np.asarray(np.linalg.inv(error_products + np.diag(self.floors)))
+        products = error_products + np.diag(self.floors)
+        size = np.sqrt(np.diag(products))
+        values, axes = np.linalg.eigh(products / np.outer(size, size))  # positive also for errors of no full rank
+        return np.asarray(axes / np.maximum(values, _ROUNDING * values[-1]) @ axes.T / np.outer(size, size))
 
     def cost(self, error_products: FloatArray) -> float:
         """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
