@@ -87,6 +87,7 @@ class FitNote(NoteKind):
     LIKELY_ELSEWHERE = "GB138"
     REDUCED = "GB141"
     DEPENDENT = "GB142"
+    BEFORE_CAUSE = "GB143"
 
 
 class DataNote(NoteKind):

@@ -1,4 +1,4 @@
-"""Notes on data with which a fit converges and is wrong: units, twins, spikes, inputs that are nearly the same."""
+"""Notes on data with which a fit converges and is wrong: units, twins, spikes, equal inputs, answers before a cause."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.notes import FitNote
 from gbid.identify.data import FitData, Record, centred_rows, column_variances
 from gbid.identify.pose import FitTask
+from gbid.recording.cause import lead_before
 from gbid.structure.built_in import KEY_PARAMETERS
 
 _MOTION = 2e-4  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres, that of a
@@ -44,6 +45,7 @@ def data_notes(task: FitTask) -> Iterator[str]:
     yield from _same_inputs(data)
     for record in data.records:
         yield from _spikes(record, data.output_names, left_out.get(record.name, ()))
+        yield from _early_answers(record, data)
 
 
 def _units(data: FitData, motions: Sequence[tuple[str, slice]]) -> Iterator[str]:
@@ -123,3 +125,14 @@ def _same_inputs(data: FitData) -> Iterator[str]:
                 f"inputs {data.input_names[i]!r} and {data.input_names[j]!r} are the same to {apart:.1g} of their "
                 "size: only their sum is known well; move them independently, or fit one of them"
             )
+
+
+def _early_answers(record: Record, data: FitData) -> Iterator[str]:
+    """Yield a note where an output answers more than a sample before steps of the inputs."""
+    lead = None if record.missing is not None else lead_before(record.inputs, record.outputs)
+    if lead:
+        yield FitNote.BEFORE_CAUSE(
+            f"recording {record.name!r}: output {data.output_names[lead.channel]!r} moves about {lead.samples} samples "
+            f"({lead.samples * data.sample_time:.2g} s) before steps of the inputs, which no model of the fit can do: "
+            "the columns have clocks of their own, or one begins later; align them"
+        )

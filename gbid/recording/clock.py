@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -375,16 +375,17 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
             raise UsageError(f"{path}: piece needs the time column, which shows the gaps; name it (time: ...)")
         n = len(next(iter(columns.values())).values)
         return Clock(np.arange(n), untimed_sample_time(path, mapping, columns))
-    time = times_of(path, mapping, mapping.time, columns)
+    time, unit_remark = times_of(path, mapping, mapping.time, columns)
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
     if mapping.gaps == "missing":
-        return _grid(path, mapping, time, start)
+        clock = _grid(path, mapping, time, start)
+        return replace(clock, remarks=(*unit_remark, *clock.remarks))
     pieces = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
     piece, remarks = _chosen(path, mapping, pieces, time, start)
     time = time[piece.rows]
     steps = np.diff(time)
-    remarks = (*_unit_remark(path, mapping, columns, float(np.median(steps))), *remarks)
+    remarks = (*unit_remark, *remarks)
     uneven = float(np.abs(steps / np.median(steps) - 1).max())  # largest relative deviation from the median step
     if uneven > MAX_RESAMPLED:
         raise DataError(
@@ -477,8 +478,12 @@ _DAY = 86400.0  # s
 _DAYS = ((2e4, 8e4), (7e5, 8e5))  # days since 1900 of spreadsheets, and since the year 0 of MATLAB
 
 
-def times_of(path: Path, mapping: ImportMapping, name: str, columns: Mapping[str, FileColumn]) -> FloatArray:
-    """Return the values of the time column [s].
+def times_of(
+    path: Path, mapping: ImportMapping, name: str, columns: Mapping[str, FileColumn]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the values of the time column [s], and a remark where their unit is a guess that may be wrong.
+
+    A unit that neither file nor mapping gives is the second, unless the numbers are those of dates.
 
     Raises
     ------
@@ -487,14 +492,21 @@ def times_of(path: Path, mapping: ImportMapping, name: str, columns: Mapping[str
     UsageError
         When the unit is not a unit of time, or when it is not given and may be seconds or days.
     """
-    what = f"time column {name!r}"
-    unit = file_unit(path, what, mapping.time_unit, columns[name].unit) or _unit_of_dates(path, what, columns[name])
+    what, column = f"time column {name!r}", columns[name]
+    stated = file_unit(path, what, mapping.time_unit, column.unit)
+    unit = stated or _unit_of_dates(path, what, column)
     with np.errstate(over="ignore"):
-        time = columns[name].values * unit_factor(path, what, unit, "s")
+        time = column.values * unit_factor(path, what, unit, "s")
     largest = float(np.abs(time).max(initial=0.0))
     if largest >= _LONGEST:
         raise DataError(f"{path}: {what} reaches {largest:g} s, which is no time; name the right column")
-    return time
+    step = float(np.median(np.diff(time))) if len(time) > 1 else _LONGEST_STEP
+    text = ""
+    if stated is None and unit != "s":
+        text = f"its times are those of dates, read in {unit} (the first is {column.values[0]:.15g})"
+    elif stated is None and not _SHORTEST_STEP <= step <= _LONGEST_STEP:
+        text = f"it is read in s: a sample time of {step:g} s; give time_unit if that is wrong"
+    return time, (f"{what} has no unit; {text}",) if text else ()
 
 
 def _unit_of_dates(path: Path, what: str, column: FileColumn) -> str:
@@ -511,17 +523,3 @@ def _unit_of_dates(path: Path, what: str, column: FileColumn) -> str:
         f"{path}: {what} begins at {first:.10g} with steps of {step:.3g}: days (steps of {step * _DAY:.3g} s) or "
         "seconds; give time_unit: day or time_unit: s"
     )
-
-
-def _unit_remark(path: Path, mapping: ImportMapping, columns: Mapping[str, FileColumn], step: float) -> tuple[str, ...]:
-    """Return what is said of a unit of time that neither file nor mapping gives."""
-    name = mapping.time or ""
-    what = f"time column {name!r}"
-    if file_unit(path, what, mapping.time_unit, columns[name].unit) is not None:
-        return ()
-    if (unit := _unit_of_dates(path, what, columns[name])) != "s":
-        begin = columns[name].values[0]
-        return (f"{what} has no unit; its times are those of dates, read in {unit} (the first is {begin:.15g})",)
-    if not _SHORTEST_STEP <= step <= _LONGEST_STEP:
-        return (f"{what} has no unit and is read in s: a sample time of {step:g} s; give time_unit if that is wrong",)
-    return ()

@@ -267,7 +267,7 @@ def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColum
     if mapping.time is None:
         time = untimed_sample_time(path, mapping, columns) * np.arange(n)
     else:
-        time = times_of(path, mapping, mapping.time, columns)
+        time, _ = times_of(path, mapping, mapping.time, columns)
         time = np.maximum.accumulate(time - time[0])
     step = float(time[-1]) / max(1, n - 1)
     for key, value in (("from_s", mapping.from_s), ("to_s", mapping.to_s)):
@@ -456,7 +456,7 @@ def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, Fi
     if mapping.time is None:
         sample_time = untimed_sample_time(path, mapping, columns)
     else:
-        time = times_of(path, mapping, mapping.time, columns)
+        time, _ = times_of(path, mapping, mapping.time, columns)
         sample_time = float(time[-1] - time[0]) / (n - 1)
         steps = np.diff(time[:-1])
         typical = float(np.median(steps)) if steps.size else sample_time

@@ -15,12 +15,24 @@ import numpy.typing as npt
 import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.notes import FitNote
+from gbid.recording.cause import lead_before
 from gbid.recording.recording import Recording, without_gaps
 
 # ---- One quality problem of a recording.
 
 ProblemKind = Literal[
-    "constant", "saturated", "too_few_samples", "swapped", "dead", "rub", "sample_time", "encoder", "duplicate", "speed"
+    "constant",
+    "saturated",
+    "too_few_samples",
+    "swapped",
+    "dead",
+    "rub",
+    "sample_time",
+    "encoder",
+    "duplicate",
+    "speed",
+    "cause",
 ]
 
 
@@ -36,7 +48,7 @@ class SignalProblem:
     kind : str
         ``"constant"``, ``"saturated"``, ``"too_few_samples"``, ``"swapped"`` (channels x and y), ``"dead"`` (a sensor
         that does not respond), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"``,
-        ``"duplicate"`` or ``"speed"`` (a run-up).
+        ``"duplicate"``, ``"speed"`` (a run-up) or ``"cause"`` (a signal answers before the one that drives it).
     text : str
         One sentence with the numbers and what to do.
     """
@@ -188,6 +200,28 @@ def _spectra(values: FloatArray, n_segments: int) -> FloatArray:
     parts = values[: length * n_segments].reshape(n_segments, length, -1)
     parts = parts - parts.mean(axis=1, keepdims=True)
     return np.asarray(np.fft.rfft(parts * np.hanning(length)[None, :, None], axis=1)[:, 1:])
+
+
+def find_early_answers(rec: Recording) -> Iterator[SignalProblem]:
+    """Return signals of the chain r, u, p that answer more than a sample before the steps of what drives them.
+
+    Channels with clocks of their own, or a wrong start of one, make such a recording. An excitation w that is recorded
+    stands for r, which follows p in a loop.
+    """
+    driver = "w" if "w" in rec.signals else "r"
+    chain = [name for name in (driver, "u", "p") if name in rec.signals]
+    angle = rec.signal("phi")[:, 0] if "phi" in rec.signals else None
+    for i, name in enumerate(chain):
+        leads = {source: lead_before(rec.signal(source), rec.signal(name), angle) for source in chain[:i]}
+        source, lead = next(((each, found) for each, found in leads.items() if found), ("", None))
+        if lead:
+            text = (
+                f"recording {rec.name!r}: signal {name!r} channel {rec.channels[name][lead.channel]!r} answers before "
+                f"its cause: it moves about {lead.samples} samples ({lead.samples * rec.sample_time:.2g} s) before the "
+                f"steps of {source!r}; the two have clocks of their own, or one begins later: record them with one "
+                "clock, or cut the early samples away."
+            )
+            yield SignalProblem(name, "", "cause", FitNote.BEFORE_CAUSE(text))
 
 
 # ---- Check for contact of rotor and bearing: sudden changes of velocity far from the centre.
@@ -614,7 +648,7 @@ def find_problems(
         When the recording has no signal of a given name.
     """
     problems: list[SignalProblem] = []
-    rec = _bridged(rec)
+    has_gaps, rec = bool(rec.missing), _bridged(rec)
     looked_at = list(rec.signals if signals is None else signals)
     if rec.n_samples < MIN_SAMPLES:
         text = (
@@ -644,6 +678,8 @@ def find_problems(
     for about, kinds_of_check, find in _FINDERS:
         if (kinds is None or set(kinds_of_check) & set(kinds)) and (not about or set(about) & set(looked_at)):
             problems += [problem for problem in find(rec) if not problem.signal or problem.signal in looked_at]
+    if has_gaps or any(problem.kind == "rub" for problem in problems):  # lines across gaps, and walls, are no answers
+        problems = [problem for problem in problems if problem.kind != "cause"]
     return [problem for problem in problems if kinds is None or problem.kind in kinds]
 
 
@@ -668,6 +704,7 @@ _FINDERS: tuple[_Finder, ...] = (
     (("phi",), ("encoder",), find_encoder_faults),
     ((), ("sample_time",), find_clock_problems),
     ((), ("speed",), find_speed_changes),
+    (("w", "r", "u", "p"), ("cause",), find_early_answers),
 )
 
 

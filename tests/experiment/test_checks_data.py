@@ -116,6 +116,17 @@ def test_the_content_is_looked_at_unless_quick(tmp_path, capsys):
     assert "is constant" in printed_by(capsys, "check", path, code=3).err
 
 
+def test_an_index_that_jumps_in_a_stationary_run_is_named(tmp_path, capsys):
+    """The map of run-out is made from such runs, which no fit uses."""
+    path = write_many(tmp_path, points=1)
+    for k, kind in enumerate(("prbs1", "prbs2", "still1")):
+        values = columns(seed=k)
+        turning = 2 * np.pi * 4000 / 60 * 2e-4 * np.arange(1000) + (np.arange(1000) > 499) * 1.1 * (kind == "still1")
+        write_file(tmp_path / "data" / f"p3_n4000_{kind}.mat", {**values, "phi": np.mod(turning, 2 * np.pi)})
+    said = printed_by(capsys, "check", path, code=3).err
+    assert "'p3_n4000_still1': signal 'phi' jumps 1 times, the first by +63.0 degrees at 0.0998 s" in said
+
+
 @pytest.mark.parametrize("ending", ["mat", "npz", "csv"])
 def test_a_short_look_agrees_with_the_recording(tmp_path, ending):
     file = tmp_path / f"a.{ending}"

@@ -36,7 +36,7 @@ def recording(u, p, name="run"):
 
 
 def codes(result):
-    return {code for note in result.notes for code in ("GB133", "GB134", "GB135", "GB136") if code in note}
+    return {code for note in result.notes for code in ("GB133", "GB134", "GB135", "GB136", "GB143") if code in note}
 
 
 def bearing(*recordings):
@@ -106,6 +106,13 @@ def test_a_spike_is_named_and_a_blow_is_not(width, height, told):
 @pytest.mark.parametrize(("second", "told"), [(1e-4, True), (0.1, False)])
 def test_two_inputs_that_are_nearly_the_same_are_named(second, told):
     assert ("GB136" in codes(bearing(recording(*disc(0, second=second))))) == told
+
+
+@pytest.mark.parametrize(("late", "told"), [(0, False), (1, False), (15, True)])
+def test_an_output_that_answers_before_its_cause_is_named(late, told):
+    u, p = disc(0)
+    result = bearing(recording(u[: len(u) - late], p[late:]))
+    assert ("GB143" in codes(result)) == told
 
 
 def test_a_ship_may_move_by_metres():

@@ -22,6 +22,7 @@ from gbid.rig import (
     Prbs,
     ProcessNoise,
     RunUp,
+    SampledController,
     Staircase,
     Stationary,
     record,
@@ -147,6 +148,51 @@ def test_faults_of_the_rig_are_caught():
     assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(dead={"p.y": 1e-6})))] == ["constant"]
     assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(sample_time_factor=1.25)))] == ["sample_time"]
     assert found(rig(Prbs(1.0), faults=Faults(spikes_per_s=20.0))) == []  # the median of three takes these out
+
+
+# ---- cause ----
+
+
+def early(rec, name, samples):
+    """Return the recording with one signal that comes some samples too early."""
+    n = rec.n_samples - samples
+    return replace(rec, signals={q: v[samples:] if q == name else v[:n] for q, v in rec.signals.items()})
+
+
+def feedback(gain=1.0, slope_s=0.0):
+    """Feedback of position and velocity, as differences over a sample."""
+    rate = slope_s / 2e-4
+    return SampledController(np.zeros((2, 2)), np.eye(2), -rate * np.eye(2), (gain + rate) * np.eye(2), 2e-4)
+
+
+@pytest.mark.parametrize(("late", "names"), [((0, 15), "rup"), ((8, 0), "ru"), ((0, 15), "up"), ((0, 40), "up")])
+def test_an_answer_before_its_cause_is_named(prbs, late, names):
+    for point in ((5.0, 6000.0), (3.0, 0.0)):
+        rec = replace(prbs[point], signals={q: prbs[point].signal(q) for q in names})
+        rec = early(early(rec, "u", late[0]) if late[0] else rec, "p", late[1]) if late[1] else early(rec, "u", late[0])
+        (problem,) = (q for q in find_problems(rec) if q.kind == "cause")
+        assert problem.signal == ("u" if late[0] else "p")
+        assert "answers before its cause" in problem.text
+        assert "[GB143]" in problem.text
+        assert int(problem.text.partition("about ")[2].split()[0]) == pytest.approx(sum(late), rel=0.7)
+
+
+def test_one_sample_early_is_the_time_between_two_converters(prbs):
+    assert found(early(prbs[5.0, 6000.0], "p", 1)) == []
+
+
+@pytest.mark.parametrize("controller", [feedback(), feedback(0.5, 2e-4)], ids=["P", "PD"])
+@pytest.mark.parametrize(
+    "experiment", [Stationary(2.0), Hammer(), Prbs(2.0, amplitude_m=1e-6, hold_s=2e-3)], ids=["still", "blows", "prbs"]
+)
+def test_feedback_is_no_answer_before_its_cause(controller, experiment):
+    for point in ((6.0, 0.0), (3.0, 4000.0)):
+        rec = rig(experiment, *point, controller=controller)
+        for names in ("wrup", "rup", "up"):
+            some = replace(rec, signals={q: v for q, v in rec.signals.items() if q in names})
+            assert not {"cause"} & {kind for kind, *_ in found(some)}
+    if isinstance(experiment, Prbs):
+        assert "cause" in {kind for kind, *_ in found(early(rec, "p", 15))}
 
 
 # ---- rub ----

@@ -100,12 +100,16 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
         Recording, text and exit code of each problem.
     """
     faults: list[tuple[PlannedRecording, str, int]] = []
+    makes_maps = experiment.spec.prefilter is not None and experiment.spec.prefilter.method != "none"
 
     def readable() -> Iterator[Recording]:
         for planned in experiment.recordings.values():
             if planned.imported is not None:
                 try:
-                    yield replace(read_import(experiment, planned), name=planned.name)
+                    recording = replace(read_import(experiment, planned), name=planned.name)
+                    if planned.stationary and makes_maps and "phi" in recording.signals:
+                        refuse_bad_signals(planned, recording, ["p", "phi"], kinds=("encoder",))
+                    yield recording
                 except GbidError as error:
                     faults.append((planned, str(error), error.exit_code))
 
