@@ -160,6 +160,16 @@ def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_
     return np.array(value[:, index], dtype=float)
 
 
+TIME_WORDS = {"t", "time", "zeit", "tempo", "temps", "tiempo", "timestamp", "zeitstempel", "sekunden", "seconds"}
+"""Words in names of columns of sample times."""
+_CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words and numbers of the name of a column, in small letters."""
+    return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
+
+
 def name_and_unit(heading: str) -> tuple[str, str | None]:
     """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; without brackets the unit is None."""
     match = _NAME_UNIT.fullmatch(heading)

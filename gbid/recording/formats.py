@@ -40,7 +40,7 @@ from gbid.recording.readers import (
     rows_of,
     with_values,
 )
-from gbid.recording.text_files import TextTable, holds_text, is_large, read_rows, read_table
+from gbid.recording.text_files import CUT, TextTable, holds_text, is_large, read_rows, read_table
 from gbid.recording.universal import open_universal, read_responses
 
 
@@ -251,18 +251,16 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
     """Return encoding, delimiter, decimal sign and header of a csv file, as plain values."""
     table = read_table(path, options, ends=True)
-    return {**table.layout.stated(), **({"last_line": _CUT} if table.is_cut else {})}
-
-
-_CUT = "left out: it has no line break, so the file may have been cut there"
+    return {**table.layout.stated(), **({"last_line": CUT} if table.is_cut else {})}
 
 
 def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColumn]:
     indices = [table.index(reference) for reference in references]
     values = table.columns(indices) if indices else np.zeros((len(table.rows), 0))
-    remark = "; ".join(filter(None, (table.layout.remark, f"the last line is {_CUT}" if table.is_cut else "")))
     return {
-        reference: _with_times(FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=remark), table, i)
+        reference: _with_times(
+            FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=table.remark), table, i
+        )
         for k, (reference, i) in enumerate(zip(references, indices, strict=True))
     }
 

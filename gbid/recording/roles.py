@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from gbid.recording.columns import TIME_WORDS, words_of
 from gbid.recording.readers import FileChannel
 
 ROLES = ("r", "u", "p", "phi")
@@ -24,13 +25,11 @@ _STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelg
     "p": ("spalt", "position", "lage", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle", "proximity"),
 }
 _OTHER = re.compile("drehzahl|speed|rpm|umin|druck|pressure|temp|kraft|force|strom|current|spannung|voltage|trigger")
-_TIME = {"t", "time", "zeit", "timestamp", "zeitstempel", "sekunden", "seconds"}
 _AXES = {
     **dict.fromkeys(("x", "a", "h", "hor", "horizontal", "waagerecht", "left", "links"), 0),
     **dict.fromkeys(("y", "b", "v", "ver", "vert", "vertical", "vertikal", "senkrecht", "right", "rechts"), 1),
 }
 _SHORT = re.compile(r"(r|u|p)([xyabhv12])")
-_CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
 _UNKNOWN = "no known name of a signal"
 
 
@@ -79,7 +78,7 @@ def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, .
     was_given = time is not None
     if time is None:
         rising = [name for name, channel in usable.items() if channel.step is not None]
-        named = [name for name in rising if _TIME & set(_split(name))]
+        named = [name for name in rising if TIME_WORDS & set(words_of(name))]
         time = named[0] if named else rising[0] if len(rising) == 1 else None
     axes: dict[str, dict[int, str]] = {role: {} for role in ROLES}
     for name in usable:
@@ -99,13 +98,9 @@ def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, .
     return Roles(time, {role: complete[role] for role in ROLES if role in complete}, reasons)
 
 
-def _split(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
-
-
 def _role(name: str) -> tuple[str | None, int, str]:
     """Return the role of a channel by its name, the number of its axis, and the reason."""
-    words = _split(name)
+    words = words_of(name)
     if short := _SHORT.fullmatch("".join(words)):
         words = [short[1], short[2]]
     if words in (["x"], ["y"]):

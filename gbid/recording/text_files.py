@@ -25,11 +25,13 @@ from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
 from gbid.recording.clock import MAX_RESAMPLED, even_step
 from gbid.recording.columns import (
+    TIME_WORDS,
     find_heading,
     is_file_unit,
     name_and_unit,
     numbered_twins,
     twin_name,
+    words_of,
     written_unit,
 )
 from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions
@@ -197,9 +199,12 @@ _GROUPED = {  # thousands signs: a point or comma, where it is not the decimal s
 _GROUPED_TWICE = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")  # a number of thousands, or of three decimals
 _THOUSAND, _ROUNDING, _UNLIKELY = 1e3, 1e-6, 2  # more than two such numbers, and none of one or two decimals
 _STAMP = re.compile(
-    r"(?:(?:(?P<year>\d{4})[-/](?P<month>\d\d)[-/](?P<day>\d\d)|(?P<German>\d{1,2}\.\d{1,2}\.\d{4}))(?:T|,? +))?"
-    r"(?P<hour>[01]?\d|2[0-3]):(?P<minute>[0-5]\d):(?P<second>[0-5]\d)(?:[.,](?P<part>\d{1,9}))?(?P<zone>Z|[-+]\d\d:?\d\d)?"
+    r"(?:(?P<date>\d{4}[-/]\d\d?[-/]\d\d?|\d\d?(?P<sign>[-/.])(?:\d\d?|[a-z]{3})(?P=sign)(?:\d{4}|\d\d))(?:T|,?\s+))?"
+    r"(?P<hour>[01]?\d|2[0-3]):(?P<minute>[0-5]\d):(?P<second>[0-5]\d)(?:[.,](?P<part>\d{1,9}))?"
+    r"(?:\s*(?P<half>[ap])\.?\s?m\.?)?(?P<zone>Z|[-+]\d\d:?\d\d)?",
+    re.IGNORECASE,
 )
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 
 class NumberedLine(NamedTuple):
@@ -295,7 +300,7 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """Return whether a cell is a time of day, alone or after an ISO or German date."""
+    """Return whether a cell is a time of day, alone or after a date."""
     return bool(_STAMP.fullmatch(cell.strip()))
 
 
@@ -321,6 +326,43 @@ def split_cells(text: str, delimiter: str) -> list[str]:
     except csv.Error:  # a cell longer than the reader takes; `TextTable.cells` names its line
         cells = text.split(delimiter)
     return [cell.strip() for cell in cells]
+
+
+_OTHER_COMMENTS = "!;'*"  # signs that begin comments in some programs, and cells in others
+
+
+def _with_comments(lines: list[NumberedLine]) -> list[NumberedLine]:
+    """Return the lines, with the first mark of comments for others that begin the first lines and no other line."""
+    sign = lines[0].text[:1] if lines else ""
+    count = next((i for i, line in enumerate(lines) if not line.text.startswith(sign)), len(lines))
+    if not sign or sign not in _OTHER_COMMENTS or count == len(lines):
+        return lines
+    top = [line.text.lstrip(sign) for line in lines[:count]]
+    if any(line.text.startswith((sign, _RULE)) for line in lines[count:]) or lines[0].text.startswith(_RULE):
+        return lines
+    if any(sign in text and not text.startswith(" ") for text in top):  # a quoted name, or an empty first cell
+        return lines
+    return [NumberedLine(line.number, f"# {text}") for line, text in zip(lines, top, strict=False)] + lines[count:]
+
+
+_COUNTED = re.compile(
+    r"[#%/\s]*(?:n|no\.? of|num|number of|anzahl(?: der)?|nombre d(?:e |')|numero (?:di |de )|número de )?[\s_]*"
+    r"(?:record length|samples|points|rows|records|messwerte|abtastwerte|werte|punkte|zeilen"
+    r"|échantillons|mesures|points|lignes|campioni|punti|righe|muestras|puntos|filas)",
+    re.IGNORECASE,
+)
+"""Words of a header before its number of rows."""
+
+
+def _stated_count(lines: Sequence[NumberedLine]) -> tuple[NumberedLine, int] | None:
+    """Return the line above the rows that states their number, and the number; None where no line, or several, do."""
+    found = []
+    for line in lines:
+        key, *cells = (cell.strip(' "') for cell in re.split(r"[:=,;\t]", line.text))
+        numbers = {cell for cell in cells if cell}
+        if _COUNTED.fullmatch(key) and len(numbers) == 1 and (number := numbers.pop()).isdecimal():
+            found.append((line, int(number)))
+    return found[0] if len({count for _, count in found}) == 1 else None
 
 
 def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptions) -> TextLayout:
@@ -450,7 +492,7 @@ class _Candidate:
         row = split_cells(text, self.delimiter)
         if len(row) == self.count + 1 and row[-1] in _UNUSED:
             row = row[:-1]
-        if self.open_end and len(row) == self.count and not row[-1]:
+        if self.open_end and len(row) == self.count:
             row = row[:-1]
         return row if len(row) == self.count - self.open_end else None
 
@@ -511,7 +553,7 @@ def _with_header(
     while start > 0 and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
     direct = [i for i in range(start, first) if columns.is_names(content[i].text)]
-    named = _without_values_below(columns, content, direct)
+    named = _last_with_time(columns, content, _without_values_below(columns, content, direct))
     named += [i for i in range(min(start, _BLOCK_LINES)) if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
     header = next((line for line in reversed(above) if columns.is_names(without_mark(line.text))), None)
@@ -546,6 +588,13 @@ def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], 
     return [i for i in named if i > last]
 
 
+def _last_with_time(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
+    """Return the last line of names alone where it has a name of times, and no line before it: those are a block."""
+    names = [i for i in named if not columns.is_units(content[i].text)]
+    with_time = [i for i in names if any(TIME_WORDS & set(words_of(c)) for c in columns.cells(content[i].text) or ())]
+    return with_time if with_time == names[-1:] else named
+
+
 def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
     cells = columns.cells(line.text) or []
     return len(set(cells)) < len(cells)
@@ -571,6 +620,8 @@ def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[Numbered
 
 # ---- Table in a text file: its headings, its units, and its columns as numbers.
 
+CUT = "left out: it has no line break, so the file may have been cut there"
+
 
 @dataclass(frozen=True)
 class TextTable:
@@ -593,6 +644,8 @@ class TextTable:
         last number is a part of one.
     n_first, n_left_out : int
         Of a file whose ends were read: number of rows in the first part, and of rows between it and the second one.
+    stated : tuple of (NumberedLine, int), or None
+        Line above the rows that states their number, and the number.
     """
 
     path: Path
@@ -603,6 +656,16 @@ class TextTable:
     is_cut: bool = False
     n_first: int = 0
     n_left_out: int = 0
+    stated: tuple[NumberedLine, int] | None = None
+
+    @property
+    def remark(self) -> str:
+        """What was assumed or left out, and a number of rows in the header that is another one."""
+        count, said = len(self.rows) + self.n_left_out, [self.layout.remark]
+        if self.stated and self.stated[1] != count:
+            line, number = self.stated
+            said.append(f"line {line.number} states {number} samples, the file has {count}")
+        return "; ".join(filter(None, (*said, f"the last line is {CUT}" if self.is_cut else "")))
 
     @cached_property
     def cells(self) -> list[list[str]]:
@@ -696,7 +759,7 @@ class TextTable:
         if delimiter == " " or any('"' in line for line in lines) or self.layout.decimal == delimiter:
             return None
         between = {line.count(delimiter) for line in lines}
-        if between != {len(self.headings) - 1}:
+        if between != {len(self.headings) - 1} and between != {len(self.headings)}:
             return None
         if self.layout.decimal == ",":
             if any("." in line for line in lines):  # a date, a point for thousands, or a mistake
@@ -720,17 +783,41 @@ class TextTable:
         return np.array([float(cell) for cell in cells])
 
     def _times(self, index: int, column: Sequence[str]) -> FloatArray:
-        """Return time stamps in seconds from the first one."""
-        times = [_stamp_ns(cell.strip()) for cell in column]
-        k = next((k for k, (form, _) in enumerate(times) if not form or form != times[0][0]), None)
-        if k is not None:
-            of = f" of the form of {column[0]!r} in line {self.rows[0].number}" if times[k][0] else ""
-            text = f"{column[k]!r} is no time stamp{of}"
-            raise DataError(f"{self.path}: line {self.rows[k].number}, column {self.headings[index]!r}: {text}")
-        return np.array([time - times[0][1] for _, time in times]) * 1e-9
+        """Return time stamps in seconds from the first one.
+
+        Raises
+        ------
+        DataError
+            When a cell is no stamp of the form of the first one, or when the order of day and month decides.
+        """
+        stamps = [_stamp(cell.strip()) for cell in column]
+        orders: dict[str, dict[str, int]] = {order: {} for order in _ORDERS}  # days by date
+        for k, (form, date_text, _) in enumerate(stamps):
+            for order, days in list(orders.items()):
+                if date_text not in days and (day := _day_of(date_text, order)) is None:
+                    del orders[order]
+                elif date_text not in days:
+                    days[date_text] = day or 0
+            if not form or form != stamps[0][0] or not orders:
+                of = f" of the form of {column[0]!r} in line {self.rows[0].number}" if form and k else ""
+                text = f"{column[k]!r} is no time stamp{of}"
+                raise DataError(f"{self.path}: line {self.rows[k].number}, column {self.headings[index]!r}: {text}")
+        readings = {tuple(day - days[stamps[0][1]] for day in days.values()) for days in orders.values()}
+        if len(readings) > 1:
+            raise DataError(
+                f"{self.path}: column {self.headings[index]!r}: {column[0]!r} may begin with the day or the month, "
+                "and the date changes within the file; write dates as 2026-11-22, or leave time out and give "
+                "sample_time_s"
+            )
+        days = next(iter(orders.values()))
+        times = [_DAY_NS * days[date_text] + time for _, date_text, time in stamps]
+        return np.array([time - times[0] for time in times]) * 1e-9
 
     def _refuse_unclear(self, indices: Sequence[int], values: FloatArray) -> None:
-        """Refuse columns that may have thousands signs: `1.001` after `998`, with no other number of decimals."""
+        """Refuse columns that may have thousands signs: `1.001` after `998`, with no other number of decimals.
+
+        The sign of another column, such as the one of `0.25`, settles it, unless whole numbers lie far from the others.
+        """
         for index, column in zip(indices, values.T, strict=True):
             size = np.abs(column[~np.isnan(column)])
             whole = size == np.floor(size)
@@ -741,11 +828,23 @@ class TextTable:
                 continue
             cells = [row[index].strip() for row in self.cells]
             grouped = [cell for cell in cells if _GROUPED_TWICE.fullmatch(cell)]
-            if len(set(grouped)) > _UNLIKELY and all(c in grouped or re.fullmatch(r"[-+]?\d{0,3}", c) for c in cells):
+            plain = [float(cell) for cell in cells if re.fullmatch(r"[-+]?\d{1,3}", cell)]
+            if len(set(grouped)) <= _UNLIKELY or len(grouped) + len(plain) + cells.count("") < len(cells):
+                continue
+            near = np.array([float(cell.replace(",", ".")) for cell in grouped])
+            alike = not plain or (near.min() - 1 <= min(plain) and max(plain) <= near.max() + 1)
+            if not (alike and self.settles_decimal):
                 raise DataError(
                     f"{self.path}: column {self.headings[index]!r}: {grouped[0]!r} may be a number of thousands; write "
                     f"it without the sign, or give decimal: {self.layout.decimal!r} if it is the decimal sign"
                 )
+
+    @cached_property
+    def settles_decimal(self) -> bool:
+        """Whether a cell has the decimal sign where no thousands sign can stand, as ``0.5`` or ``12.25``."""
+        sign = self.layout.decimal
+        cells = (cell.strip() for row in self.cells for cell in row if sign in cell)
+        return any(is_number(cell, sign) and not _GROUPED_TWICE.fullmatch(cell) for cell in cells)
 
     def _not_a_number(self, line: NumberedLine, index: int, cell: str) -> DataError:
         where = f"{self.path}: line {line.number}, column {self.headings[index]!r}:"
@@ -759,21 +858,42 @@ def _ungrouped(cell: str, decimal: str) -> str:
     return cell.replace(match["sign"], "") if match else cell
 
 
-def _stamp_ns(cell: str) -> tuple[str, int]:
-    """Return the form of a time stamp, empty when it is none, and the time in nanoseconds."""
+_DAY_NS = 86400 * 10**9
+_ORDERS = ("dmy", "mdy", "ymd")  # of day, month and year in a date
+
+
+def _stamp(cell: str) -> tuple[str, str, int]:
+    """Return the form of a time stamp, empty when it is none, its date, and its time of day in nanoseconds."""
     match = _STAMP.fullmatch(cell)
     if match is None:
-        return "", 0
-    form = "zone " * bool(match["zone"]) + ("date" if match["year"] else "German" if match["German"] else "clock")
-    try:
-        parts = match["German"].split(".")[::-1] if match["German"] else match.group("year", "month", "day")
-        days = date(*map(int, parts)).toordinal() if parts[0] else 0
-    except ValueError:
-        return "", 0
-    second = 60 * (60 * (24 * days + int(match["hour"])) + int(match["minute"])) + int(match["second"])
-    if (zone := match["zone"] or "Z") != "Z":
+        return "", "", 0
+    hour, half = int(match["hour"]), (match["half"] or "").lower()
+    if half and not 1 <= hour <= 12:
+        return "", "", 0
+    hour = hour % 12 + 12 * (half == "p") if half else hour
+    second = 60 * (60 * hour + int(match["minute"])) + int(match["second"])
+    if (zone := match["zone"] or "Z").upper() != "Z":
         second -= int(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
-    return form, 10**9 * second + int((match["part"] or "").ljust(9, "0"))
+    form = f"{re.sub(r'[^-/.]+', '0', match['date'] or '')} {'m' * bool(half)} {'zone' * bool(match['zone'])}"
+    return form, match["date"] or "", 10**9 * second + int((match["part"] or "").ljust(9, "0"))
+
+
+def _day_of(text: str, order: str) -> int | None:
+    """Return the number of a day from a date with its parts in this order; None when it has another order."""
+    if not text:
+        return 0
+    parts = re.split("[-/.]", text.lower())
+    if (len(parts[0]) == 4 and order != "ymd") or (len(parts[2]) == 4 and order == "ymd"):
+        return None
+    if order != "dmy" and ("." in text or parts[1].isalpha()):
+        return None
+    if parts[1].isalpha():
+        parts[1] = str(_MONTHS.index(parts[1]) + 1) if parts[1] in _MONTHS else "0"
+    numbers = dict(zip(order, map(int, parts), strict=True))
+    try:
+        return date(numbers["y"] + 2000 * (numbers["y"] < 100), numbers["m"], numbers["d"]).toordinal()
+    except ValueError:
+        return None
 
 
 def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) -> TextTable:
@@ -799,7 +919,7 @@ def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) ->
                 count += 1
     if count < stop:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {count} samples")
-    return replace(table, rows=tuple(rows), is_cut=False)
+    return replace(table, rows=tuple(rows), is_cut=False, stated=None)
 
 
 def is_large(path: Path) -> bool:
@@ -828,7 +948,7 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
     text, encoding, gap_after, lines_left_out, rows_left_out = read_text(path, options.encoding, ends=ends)
     numbered = enumerate(text.split("\n"), start=1)
     lines = [NumberedLine(i + lines_left_out * (i > gap_after), line) for i, line in numbered if line.strip()]
-    lines, segments = _in_one_segment(path, lines)
+    lines, segments = _in_one_segment(path, _with_comments(lines))
     layout = replace(find_layout(lines, encoding, options), segments=segments)
     last = layout.rows_to or (lines[-1].number if lines else 0)
     rows = tuple(q for q in lines if last >= q.number >= layout.rows_from > 0 and not is_comment(q.text))
@@ -859,4 +979,5 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
     is_open = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
     is_cut = is_open and len(split_cells(rows[-1].text, layout.delimiter)) >= len(headings)  # fewer cells are an error
     n_first = sum(line.number <= gap_after for line in rows) if gap_after else len(rows)
-    return TextTable(path, layout, numbered_twins(headings), tuple(units), rows, is_cut, n_first, rows_left_out)
+    stated = None if segments else _stated_count([line for line in lines if line.number < layout.rows_from])
+    return TextTable(path, layout, numbered_twins(headings), tuple(units), rows, is_cut, n_first, rows_left_out, stated)

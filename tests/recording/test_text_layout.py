@@ -76,10 +76,10 @@ def test_one_column_of_decimal_commas_is_one_column(tmp_path):
 
 def test_what_is_given_is_not_looked_for(tmp_path):
     path = tmp_path / "a.csv"
-    path.write_text("first;second;third\nZeit;Weg x;Kraft\n" + body(decimal=".").replace("0.5", "5"))
+    path.write_text("first;second;third\nTaster;Weg x;Kraft\n" + body(decimal=".").replace("0.5", "5"))
     assert read_table(path).headings == ("first", "second", "third")
     table = read_table(path, TextOptions(header_line=2))
-    assert table.headings == ("Zeit", "Weg x", "Kraft")
+    assert table.headings == ("Taster", "Weg x", "Kraft")
     mapping = {"sample_time_s": 0.1, "signals": {"f": {"columns": ["Kraft"], "unit": "N"}}}
     assert import_recording(path, {**mapping, "header_line": 2}).n_samples == len(ROWS)
     with pytest.raises(DataError, match=r"column 'Kraft': '-2\.0' is not a number; the decimal sign is ',' here"):

@@ -143,7 +143,13 @@ def thousands(sign):
         ("Messung 1\n" + GOOD, "column 1", "header_line: 0 numbers the columns"),
         ("a;b\n31.02.2026 10:00:00;1\n31.02.2026 10:00:01;1\n", "a", "'31.02.2026 10:00:00' is no time stamp"),
         ("a;b\n2026-11-22 10:00:00Z;1\n2026-11-22 10:00:01;1\n", "a", "no time stamp of the form of '2026-11-22 10:0"),
-        ("a;b\n11/22/2026 10:00:00;1\n11/22/2026 10:00:01;1\n", "a", "'11/22/2026 10:00:00' is not a number"),
+        ("a;b\n31/02/2026 10:00:00;1\n31/02/2026 10:00:01;1\n", "a", "'31/02/2026 10:00:00' is no time stamp"),
+        ("a;b\n13:00:00 PM;1\n13:00:01 PM;1\n", "a", "'13:00:00 PM' is no time stamp"),
+        (
+            "a;b\n" + "".join(f"1{k // 20}/03/2026 {23 * (k < 20):02d}:59:{k:02d};1\n" for k in range(40)),
+            "a",
+            "may begin with the day or the month, and the date changes within the file",
+        ),
     ],
 )
 def test_what_may_be_read_in_two_ways_is_refused(tmp_path, text, time, words):
@@ -226,3 +232,102 @@ def test_a_large_file_of_labview_is_read_in_part_where_it_has_one_segment(tmp_pa
         made = import_recording(path, {**mapping, "samples": [n - 10, n - 5]})
         assert words in made.provenance["source_rows"]
         np.testing.assert_allclose(made.signals["u"][:, 0], [float(f"0.{i:012}") for i in range(n - 10, n - 5)])
+
+
+def in_time(n=N, late=0.0, form="{h:02d}:{m:02d}:{s:06.3f}", day=22):
+    """Return rows of a stamp, x and y, each 10 ms after the one before."""
+    rows = []
+    for k in range(n):
+        t = late + 0.01 * k
+        h, m = int(t // 3600), int(t % 3600 // 60)
+        words = {"d": day + h // 24, "h": h % 24, "h12": (h - 1) % 12 + 1, "m": m, "s": round(t % 60, 3)}
+        rows.append(f"{form.format(**words)}{' PM' if h % 24 >= 12 else ' AM'};{k};{k % 3}\n")
+    return "Time;x;y\n" + "".join(
+        rows if "h12" in form else [row.replace(" PM", "").replace(" AM", "") for row in rows]
+    )
+
+
+CLOCK = "{h:02d}:{m:02d}:{s:06.3f}"
+NEAR_NOON, NEAR_MIDNIGHT = 11 * 3600 + 3599.8, 23 * 3600 + 3599.8
+
+
+@pytest.mark.parametrize(
+    ("form", "late", "day"),
+    [
+        ("03/{d:02d}/2026 " + CLOCK, NEAR_MIDNIGHT, 22),
+        ("{d:02d}/03/2026 " + CLOCK, NEAR_MIDNIGHT, 22),
+        ("{d:02d}/03/26 " + CLOCK, 3600.0, 4),
+        ("{d}-3-2026 " + CLOCK, NEAR_NOON, 4),
+        ("{d:02d}-Mar-2026 " + CLOCK, NEAR_MIDNIGHT, 4),
+        ("2026/3/{d} " + CLOCK, NEAR_MIDNIGHT, 4),
+        ("3/{d}/2026 {h12}:{m:02d}:{s:06.3f}", NEAR_NOON, 4),
+        ("{h12:02d}:{m:02d}:{s:06.3f}", NEAR_NOON, 4),
+    ],
+)
+def test_dates_and_halves_of_a_day_of_any_order(tmp_path, form, late, day):
+    """Only differences matter: within a day no order of day and month does."""
+    path = tmp_path / "a.csv"
+    path.write_text(in_time(late=late, form=form, day=day))
+    made = import_recording(path, {"time": "Time", "signals": {"d": {"columns": ["x"], "unit": "V"}}})
+    assert made.sample_time == 0.01
+    assert made.n_samples == N
+    assert "import_remarks" not in made.provenance
+
+
+def three_decimals(time, whole="120,000"):
+    rows = (f"{0.25 * k if time == '%.2f' else k:{time[1:]}};{119.99 + k / 500:.3f}\n" for k in range(N))
+    return "Zeit;x\n" + "".join(rows).replace(".", ",").replace("120,000", whole)
+
+
+@pytest.mark.parametrize("whole", ["120,000", "120"])
+def test_the_decimal_sign_is_settled_by_the_whole_file(tmp_path, whole):
+    path = tmp_path / "a.csv"
+    mapping = {"time": "Zeit", "signals": {"d": {"columns": ["x"], "unit": "V"}}}
+    path.write_text(three_decimals("%.2f", whole))
+    expected = [round(119.99 + k / 500, 3) for k in range(N)]
+    np.testing.assert_allclose(import_recording(path, mapping).signal("d")[:, 0], expected, rtol=1e-12)
+    path.write_text(three_decimals("%d", whole))
+    with pytest.raises(DataError, match="may be a number of thousands"):
+        import_recording(path, mapping)
+    np.testing.assert_allclose(
+        import_recording(path, {**mapping, "decimal": ","}).signal("d")[:, 0], expected, rtol=1e-12
+    )
+
+
+PLAIN = "".join(f"{k * STEP:.4f},{k},{k % 3}\n" for k in range(N))
+
+
+@pytest.mark.parametrize(
+    ("top", "said"),
+    [
+        *((f"{mark} rig 3, run 5\n{mark}Time,x,y\n", "") for mark in ("#", "%", "//", ";", "!", "'", "*")),
+        ("Source,CH1,CH2\nTime,x,y\n", ""),
+        ("Source,CH1,CH2\nTime,x,y\ns,V,V\n", ""),
+        ("Time,x,y,Note\n", ""),
+        (f"Model,MSO\nRecord Length,{N}\n\nTime,x,y\n", ""),
+        ("Model,MSO\nRecord Length,5000\n\nTime,x,y\n", f"line 2 states 5000 samples, the file has {N}"),
+        ("# Anzahl Messwerte: 20\nTime,x,y\n", f"line 1 states 20 samples, the file has {N}"),
+        ("Nombre de points;41\nTime,x,y\n", f"line 1 states 41 samples, the file has {N}"),
+    ],
+)
+def test_comments_blocks_and_counts_above_the_rows(tmp_path, top, said):
+    path = tmp_path / "a.csv"
+    rows = PLAIN if "Note" not in top else PLAIN.replace("\n", ",\n").replace(",1,\n", ",1,seen\n", 1)
+    path.write_text(top + rows)
+    made = import_recording(path, {"time": "Time", "signals": {"d": {"columns": ["x", "y"], "unit": "V"}}})
+    np.testing.assert_array_equal(made.signal("d"), [[k, k % 3] for k in range(N)])
+    assert made.provenance.get("import_remarks", "") == said
+
+
+def test_a_quoted_first_name_is_no_comment(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("'x','y'\n0,1\n1,2\n2,3\n")
+    made = import_recording(path, {"sample_time_s": 1.0, "signals": {"d": {"columns": ["'x'"], "unit": "V"}}})
+    assert made.n_samples == 3
+
+
+def test_labview_rows_that_end_with_a_tab(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(LABVIEW + numbers("\t", ",").replace("\n", "\t\n"))
+    made = import_recording(path, {"time": "X_Value", "signals": {"d": {"columns": ["x", "y"], "unit": "V"}}})
+    np.testing.assert_allclose(made.signal("d"), np.column_stack([X, Y]), rtol=0, atol=1e-9)
