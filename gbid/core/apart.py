@@ -217,9 +217,12 @@ def _popen() -> subprocess.Popen[bytes]:
         [sys.executable, "-P", "-c", _START.format(_import_folders(), os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, **added},
+        env={**{key: value for key, value in os.environ.items() if key not in _PREFIXES}, **added},
         start_new_session=True,  # Ctrl-C is for the process that waits
     )
+
+
+_PREFIXES = ("HDF5_EXT_PREFIX", "HDF5_VDS_PREFIX", "HDF5_EXTFILE_PREFIX")  # folders where HDF5 looks for other files
 
 
 def _import_folders() -> list[str]:
@@ -264,7 +267,7 @@ def _reason(code: int, limits: ReaderLimits, allowed: int, in_time: bool) -> str
             )
         return (
             f"time-out: its reader computed for more than {limits.seconds:.0f} s; a file of this size needs far less: "
-            "it may be damaged, save it again"
+            "it may be damaged, or have far too many entries; save what is needed again"
         )
     if -code == getattr(signal, "SIGKILL", None):
         return "its reader was killed from outside (SIGKILL), as by a machine without memory left; make room, try again"

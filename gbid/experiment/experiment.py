@@ -14,8 +14,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from gbid.core.apart import read_apart
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.files import is_changed, share_folder
+from gbid.core.index import known
 from gbid.core.names import file_stem, given_path
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
@@ -34,12 +36,12 @@ from gbid.experiment.schema import (
     name_pattern,
 )
 from gbid.recording.formats import file_formats, format_of
+from gbid.recording.hdf5_links import HDF5_ENDINGS, files_beside
 from gbid.recording.text_files import read_table
 
 # ---- Entries of the import section for the files of a folder or the rows of a table.
 
 POINT = ("pressure_bar", "speed_rpm")
-_RESULTS = (".h5", ".hdf5")  # endings of our own results, which may lie in the same folder
 _NAMED = 5  # largest number of files without match that are listed
 
 
@@ -49,6 +51,14 @@ def digest_or_not(path: Path) -> str:
         return file_digest(path)
     except OSError:
         return "cannot be read"  # what reads the file reports the error; the key changes when it can be read
+
+
+def with_linked(path: Path) -> list[Path]:
+    """Return a data file and the other files from which it takes data."""
+    try:
+        return [path, *map(Path, known(path, "linked", files_beside))]
+    except OSError:
+        return [path]
 
 
 @dataclass(frozen=True)
@@ -133,7 +143,7 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         if name not in pattern.numbers:
             raise UsageError(f"{words} has no field {name}; write {{{name}:g}} into it, or give it in conditions")
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
-    endings = {suffix, *(ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS)}
+    endings = {suffix, *(ending for ending in file_formats() if ending not in HDF5_ENDINGS or suffix in HDF5_ENDINGS)}
     files = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
     read = {f: pattern.read(f) for f in files if f not in skip and not any(fnmatchcase(f, p) for p in section.ignore)}
     unmatched = [file for file, fields in read.items() if fields is None]
@@ -162,7 +172,7 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
     """
     path, more = folder / section.file, section.more_conditions
     try:
-        table = read_table(path)
+        table = read_apart(read_table, path)
         cells = table.cells
         if table.layout.remark:  # no line of conditions is left out
             raise DataError(f"{path}: {table.layout.remark}")
@@ -510,7 +520,7 @@ class Experiment:
         files = [self.data_file(entry) for entry in imported if entry is not None]
         files += [self.folder / each.file for each in (self.spec.fits[fit].responses if fit else ())]
         yaml = {"file": self.file.path.name, "sha256": digest_or_not(self.file.path)}
-        data = {self.beside(path): digest_or_not(path) for path in files}
+        data = {self.beside(path): digest_or_not(path) for file in files for path in with_linked(file)}
         return {"experiment": yaml, "seeds": self._seeds, "data": data}
 
     def beside(self, path: str | Path) -> str:

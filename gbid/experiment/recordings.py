@@ -14,7 +14,7 @@ from gbid.core.errors import DataError
 from gbid.core.hdf5 import read_document, save
 from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
-from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not
+from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not, with_linked
 from gbid.experiment.fields import Item, Result, stored_key
 from gbid.experiment.machine import rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
@@ -113,8 +113,8 @@ def recording_result(experiment: Experiment, planned: PlannedRecording) -> Resul
     if planned.imported is None:
         return _rig_result(experiment, planned.name)
     settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
-    digest = digest_or_not(experiment.data_file(planned.imported))
-    return experiment.result(Item("import", planned.name), FOLDER, settings, [digest])
+    digests = [digest_or_not(path) for path in with_linked(experiment.data_file(planned.imported))]
+    return experiment.result(Item("import", planned.name), FOLDER, settings, digests)
 
 
 @lru_cache(maxsize=1 << 16)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
+from gbid.core.apart import read_apart
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Pictured
 from gbid.core.option_types import Positive, checks_arguments
@@ -185,13 +186,9 @@ class FrequencyData(ChannelCurves, Pictured):
         path = Path(path)
         responses = getattr(format_of_ending(path.suffix.lower()), "responses", None)
         try:
-            pairs, coherent = responses(path) if responses else _of_csv(path, std is None)
+            pairs, coherent = read_apart(responses, path) if responses else read_apart(_of_csv, path, std is None)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except DataError:
-            raise
-        except (ValueError, TypeError, AttributeError) as error:
-            raise DataError(f"{path}: is no table of a frequency response: {error}") from None
         outputs, inputs = (list(dict.fromkeys(pair[k] for pair in pairs)) for k in (0, 1))
         f = np.unique(np.concatenate([each.frequency_hz for each in pairs.values()]))
         f = f[f != 0]
@@ -335,11 +332,22 @@ def _names(line: str) -> tuple[list[str], str]:
 
 
 def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
-    """Return the responses in a CSV file by output and input, and whether their quality is the coherence.
+    """Return the responses in a CSV file by output and input, and whether their quality is the coherence."""
+    try:
+        return _of_text(path, read_text(path).text.splitlines(), needs_spread)
+    except DataError:
+        raise
+    except (ValueError, TypeError, AttributeError) as error:
+        raise DataError(f"{path}: is no table of a frequency response: {error}") from None
+
+
+def _of_text(
+    path: Path, lines: Sequence[str], needs_spread: bool
+) -> tuple[dict[tuple[str, str], PairResponse], bool]:
+    """Return the responses in the lines of a CSV file, as `_of_csv`.
 
     The header line is the first one with the frequency. Numbers have a decimal comma where no comma is between them.
     """
-    lines = read_text(path).text.splitlines()
     named = enumerate(_names(line) for line in lines[:_HEADER_LINES])
     at, (names, delimiter) = next(
         (each for each in named if "frequency_hz" in each[1][0]), (0, _names("".join(lines[:1])))

@@ -89,6 +89,8 @@ class FileColumn(NamedTuple):
         Number of the clock of the column, where a file has several; columns of one clock share their times.
     start_ns : int or None
         Time of the first sample of the whole column [ns], on a scale that all columns of the file share.
+    unscaled : str
+        Scale that the file states and that was not applied to the values, in words; empty where there is none.
     """
 
     values: FloatArray
@@ -98,6 +100,7 @@ class FileColumn(NamedTuple):
     first: int | None = None
     clock: int | None = None
     start_ns: int | None = None
+    unscaled: str = ""
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
@@ -218,8 +221,9 @@ def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
 
 def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
     """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds from the first."""
-    if times.dtype.kind == "M" and times.size:
-        times = times - times.flat[0]
+    if times.dtype.kind == "M":
+        known = times[~np.isnat(times)]
+        times = times - (known[0] if known.size else np.datetime64(0, "s"))
     return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
 
 

@@ -6,13 +6,14 @@ find it by `file_formats`.
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +28,7 @@ from gbid.core.extras import extra_package, offered
 from gbid.core.units import conversion_factor
 from gbid.recording.clock import even_step
 from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
+from gbid.recording.hdf5_links import HDF5_ENDINGS, linked, refuse_links
 from gbid.recording.iddata import IddataExperiment, experiments_of
 from gbid.recording.mapping import FilePart, TextOptions
 from gbid.recording.readers import (
@@ -35,6 +37,7 @@ from gbid.recording.readers import (
     FileFormat,
     OpenFile,
     StoredArray,
+    StoredReader,
     array_format,
     index_of,
     rows_of,
@@ -138,7 +141,7 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         headings = schema.names
         yield OpenFile(
             lambda name, part: stored(find_heading(path, headings, name), part),
-            lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
+            lambda: ((name, partial(stored, i)) for i, name in enumerate(short_names(headings))),
         )
 
 
@@ -277,7 +280,7 @@ def _with_times(column: FileColumn, table: TextTable, index: int) -> FileColumn:
     return column._replace(values=column.values[: len(times)], sample_time=stated, clock=clock, start_ns=start)
 
 
-CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, takes_part=True, layout=csv_layout)
+CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, may_crash=True, takes_part=True, layout=csv_layout)
 
 
 # ---- HDF5 files of other programs: datasets and fields of tables by their paths.
@@ -292,31 +295,36 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     A column is the path of a dataset, ``run1/p_x`` or ``run1/p[0]``, or the path of a table with one of its fields,
     ``run1/table/p_x``. The unit is that of the attribute ``units`` or ``unit``.
     """
-    with h5py.File(path, "r") as file:
+    with linked(path) as file:
 
         def get(name: str, part: FilePart = ALL) -> StoredArray:
             name = name.strip("/")
             parent, _, field = name.rpartition("/")
-            dataset, table = (file.get(place) if place else None for place in (name, parent))
-            if isinstance(dataset, h5py.Dataset):
+            dataset = file.dataset(name)
+            if dataset is not None:
                 return _stored_hdf5(dataset, None, part)
-            if isinstance(table, h5py.Dataset) and field in (table.dtype.names or ()):
+            table = file.dataset(parent) if parent else None
+            if table is not None and field in (table.dtype.names or ()):
                 return _stored_hdf5(table, field, part)
-            raise DataError(f"{path}: no dataset {name!r}; {nearest(name, [known for known, *_ in places()])}")
+            raise DataError(f"{path}: no dataset {name!r}; {nearest(name, [known for known, _ in every()])}")
 
-        def places() -> list[tuple[str, h5py.Dataset, str | None]]:
-            """Return the path of each dataset, or of each field of a table, with the dataset and the field."""
-            listed: list[tuple[str, h5py.Dataset, str | None]] = []
+        def every() -> Iterator[tuple[str, StoredReader]]:
+            """Yield the path of each dataset, or of each field of a table, and what reads it."""
+            for name, dataset in file.datasets():
+                if isinstance(dataset, DataError):
+                    yield name, partial(_fail, dataset)
+                elif dataset.dtype.names:
+                    yield from (
+                        (f"{name}/{field}", partial(_stored_hdf5, dataset, field)) for field in dataset.dtype.names
+                    )
+                else:
+                    yield name, partial(_stored_hdf5, dataset, None)
 
-            def visit(name: str, entry: Any) -> None:
-                if isinstance(entry, h5py.Dataset):
-                    fields = [(f"{name}/{field}", entry, field) for field in entry.dtype.names or ()]
-                    listed.extend(fields or [(name, entry, None)])
+        yield OpenFile(get, every)
 
-            file.visititems(visit)
-            return listed
 
-        yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()))
+def _fail(error: Exception) -> StoredArray:
+    raise error
 
 
 def _stored_hdf5(dataset: Any, field: str | None, part: FilePart = ALL) -> StoredArray:
@@ -329,10 +337,26 @@ def _stored_hdf5(dataset: Any, field: str | None, part: FilePart = ALL) -> Store
     where, first, total = index_of(dataset.shape, part)
     values = dataset[where] if field is None else dataset.fields(field)[where]
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
-    return StoredArray(np.asarray(values), unit, first=first, total=total)
+    return StoredArray(
+        np.asarray(values), unit, first=first, total=total, unscaled="" if field else _unscaled_hdf5(dataset)
+    )
 
 
-HDF5 = array_format((".h5", ".hdf5"), "HDF5 file", open_hdf5)
+_FACTORS = ("scale", "scale_factor", "scaling", "scaling_factor", "slope", "gain", "calibration_factor")
+_OFFSETS = ("add_offset", "offset", "intercept")
+
+
+def _unscaled_hdf5(dataset: Any) -> str:
+    """Return the scale that a dataset states, in words; empty where it is 1 with offset 0, or none."""
+    for neutral, keys in ((1, _FACTORS), (0, _OFFSETS)):
+        for key in (spelled for each in keys for spelled in (each, each.capitalize(), each.upper())):
+            value = np.asarray(dataset.attrs.get(key, neutral))  # to iterate fails where storage is external
+            if value.dtype.kind in "fiu" and value.size and not np.all(value == neutral):
+                return f"{key} = {value.flat[0]:g}"
+    return ""
+
+
+HDF5 = array_format(HDF5_ENDINGS, "HDF5 file", open_hdf5)
 
 
 # ---- MATLAB files of all versions, with their objects, by mat-io.
@@ -463,20 +487,33 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
             value = _field(value, field, f"{path}: column {name!r}: {'.'.join([root, *fields][:depth])}")
         return _stored_mat(name, value)
 
-    def leaves(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, StoredArray]]:
-        if _is_iddata(value):
-            for channel, stored in _channels_of_iddata(value, f"{path}: {name}").items():
-                yield f"{name}.{channel}", stored
+    def leaves(name: str, value: Any, inside: Any = None, depth: int = 0) -> Iterator[tuple[str, StoredReader]]:
+        try:
+            value = matlab_value(value, inside)
+            channels = _channels_of_iddata(value, f"{path}: {name}") if _is_iddata(value) else None
+        except Exception:  # which the reading of this variable tells
+            yield name, lambda: _stored_mat(name, matlab_value(value, inside))
             return
-        if not isinstance(value, Mapping) or depth == _DEPTH:
-            yield name, _stored_mat(name, value)
-            return
-        for field in value:
-            yield from leaves(f"{name}.{field}", matlab_value(value[field], inside=value), depth + 1)
+        if channels is not None:
+            yield from ((f"{name}.{channel}", lambda each=each: each) for channel, each in channels.items())
+        elif not isinstance(value, Mapping) or depth == _DEPTH:
+            yield name, lambda: _stored_mat(name, value)
+        else:
+            for field in value:
+                yield from leaves(f"{name}.{field}", value[field], value, depth + 1)
 
-    def every() -> Iterator[tuple[str, StoredArray]]:
-        variables, classes = load()
-        return (leaf for name in classes for leaf in leaves(name, matlab_value(variables[name])))
+    def every() -> Iterator[tuple[str, StoredReader]]:
+        try:
+            variables, classes = load()
+        except DataError:  # of one variable, perhaps: the others are listed
+            variables, classes = _load(path, set())
+        for name in classes:
+            try:
+                value = variables[name] if variables else _load(path, {name})[0][name]
+            except DataError as error:
+                yield name, partial(_fail, error)
+            else:
+                yield from leaves(name, value)
 
     yield OpenFile(get, every)
 
@@ -488,9 +525,9 @@ def _rows_of_mat73(path: Path, name: str, part: FilePart) -> StoredArray | None:
     """Return samples of a matrix, or of one in a struct, of a v7.3 file; None of anything else, which is loaded."""
     if not h5py.is_hdf5(path):
         return None
-    with h5py.File(path, "r") as file:
-        dataset = file.get(name.replace(".", "/"))
-        if not isinstance(dataset, h5py.Dataset) or dataset.attrs.get("MATLAB_class") not in _NUMBERS:
+    with linked(path, alone=True) as file:
+        dataset = file.dataset(name.replace(".", "/"))
+        if dataset is None or dataset.attrs.get("MATLAB_class") not in _NUMBERS:
             return None
         if dataset.ndim != 2 or dataset.dtype.names or "MATLAB_empty" in dataset.attrs:
             return None
@@ -568,6 +605,8 @@ def _field(struct: Any, field: str, where: str) -> Any:
 def _load(path: Path, roots: set[str] | None) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the variables (all, when no roots are given), and the classes of all variables by name."""
     classes: dict[str, str] = {}
+    if h5py.is_hdf5(path):
+        refuse_links(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of an option of pandas, and of objects returned as they are stored
         from matio import load_from_mat, whosmat  # imported here, because the import takes half a second
@@ -639,7 +678,7 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
     for name, places in known.items():
         if len(places) == 1:
             names.setdefault(places[0], name)  # the shortest name that stands for one channel
-    return OpenFile(get, lambda: ((name, stored(place)) for place, name in sorted(names.items())))
+    return OpenFile(get, lambda: ((name, partial(stored, place)) for place, name in sorted(names.items())))
 
 
 def _close_half_opened(error: Exception) -> None:
@@ -700,7 +739,7 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             )
             return StoredArray(np.zeros(0), fault=text, remark="pickled Python objects: not loaded")
 
-        yield OpenFile(get, lambda: ((name, get(name)) for name in archive.files))
+        yield OpenFile(get, lambda: ((name, partial(get, name)) for name in archive.files))
 
 
 def _mapped_member(archive: Any, name: str) -> Any:
@@ -750,9 +789,11 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
                     raise DataError(f"{path}: channel {name!r} may be any of {', '.join(full)}; give group and channel")
                 if not full:
                     raise DataError(f"{path}: no channel {name!r}; {nearest(name, known)}")
-                return _stored_tdms(known.get(name, known[full[0]]), part)
+                channel = known.get(name, known[full[0]])
+                levels = (channel.properties, file[channel.group_name].properties, file.properties)
+                return _stored_tdms(channel, part)._replace(unscaled=_unscaled_tdms(levels))
 
-            yield OpenFile(get, lambda: ((name, _stored_tdms(channel)) for name, channel in known.items()))
+            yield OpenFile(get, lambda: ((name, partial(get, name)) for name in known))
 
 
 def _stored_tdms(channel: Any, part: FilePart = ALL) -> StoredArray:
@@ -772,6 +813,23 @@ def _stored_tdms(channel: Any, part: FilePart = ALL) -> StoredArray:
         start = 0 if begin is None else int(np.datetime64(begin, "ns").astype(int))
         start += round(1e9 * offset) if isinstance(offset, float | int) and isfinite(offset) else 0
     return StoredArray(values, unit, sample_time, first=first, total=len(channel), start_ns=start)
+
+
+_TDMS_SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_TDMS_SCALES = (
+    *("Linear", "Polynomial", "RTD", "Strain", "Table", "Thermistor", "Thermocouple"),
+    *("Add", "Subtract", "AdvancedAPI"),
+)
+
+
+def _unscaled_tdms(levels: Iterable[Mapping[str, Any]]) -> str:
+    """Return a scale that nptdms leaves out, in words, of the properties of channel, group and file; empty for none."""
+    for properties in levels:
+        kinds = [str(value) for key, value in properties.items() if _TDMS_SCALE.fullmatch(key)]
+        unknown = [kind for kind in kinds if kind not in _TDMS_SCALES]
+        if unknown and properties.get("NI_Scaling_Status") != "scaled":
+            return f"a scale of the type {unknown[0]!r}"
+    return ""
 
 
 TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)
@@ -802,7 +860,7 @@ def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             raise DataError(f"{path}: no channel {name!r}; a WAV file has data[0], data[1], ...")
         return data
 
-    yield OpenFile(get, lambda: iter([("data", data)]))
+    yield OpenFile(get, lambda: [("data", lambda: data)])
 
 
 WAV = array_format((".wav",), "WAV file", open_wav, states_sample_time=True)

@@ -20,6 +20,7 @@ from gbid.core.units import SIGNALS
 from gbid.recording.clock import has_one_clock, joined, on_grid, read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.formats import file_formats, format_of, iddata_in
+from gbid.recording.hdf5_links import files_beside
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
 from gbid.recording.recording import Recording
@@ -43,7 +44,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     Recording
         Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
         ``source_sha256``, ``source_rows`` (their number, the first and the last), ``source_samples``,
-        ``import_remarks`` on rows left out, gaps, doubled samples and jitter, and the ``calibration`` of columns.
+        ``import_remarks`` on rows left out, gaps, doubled samples and jitter, the ``calibration`` of columns, and
+        ``source_linked``: name and SHA-256 of each other file from which an HDF5 file takes data.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise UsageError(f"import mapping of {path}: {error}") from None
     reader = file_format(path, mapping.text_options, mapping.part).read
     try:
-        digest = sha256_of(path)
+        digest, others = sha256_of(path), {Path(other): sha256_of(Path(other)) for other in files_beside(path)}
         columns = joined(path, _whole(path, mapping, reader(path, mapping.all_columns())))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -96,6 +98,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     ]
     said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks, *missing) if text]
     remarks = {"import_remarks": "; ".join(said)} if said else {}
+    remarks |= {"source_linked": ", ".join(f"{other.name} {sha}" for other, sha in others.items())} if others else {}
     remarks |= {"calibration": "; ".join(calibrated)} if calibrated else {}
     held = [name for name, signal in mapping.signals.items() if signal.hold]
     on_lines = [name for name, signal in mapping.signals.items() if signal.interpolate]
@@ -198,7 +201,7 @@ _SHOWN = 3  # columns of these rows
 
 
 def file_format(path: Path, options: TextOptions | None = None, part: FilePart | None = None) -> FileFormat:
-    """Return the format of a file, chosen by its ending; libraries that may crash run in a process of their own.
+    """Return the format of a file, chosen by its ending, whose functions run in the process for readers.
 
     Parameters
     ----------
@@ -235,7 +238,10 @@ def file_format(path: Path, options: TextOptions | None = None, part: FilePart |
         kind = replace(kind, **bound)
     if not kind.may_crash:
         return kind
-    return replace(kind, read=partial(read_apart, kind.read), channels=partial(read_apart, kind.channels))
+    apart: dict[str, Any] = {
+        key: partial(read_apart, each) for key in (*_OF_TEXT, "responses") if (each := getattr(kind, key)) is not None
+    }
+    return replace(kind, **apart)
 
 
 def in_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, dict[str, FileColumn]]:
@@ -296,6 +302,9 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
     calibrations = dict(zip(signal.columns, signal.calibrations, strict=True))
     for column in signal.columns:
         what = f"signal {name!r}, column {column!r}"
+        if columns[column].unscaled and calibrations[column] is None:
+            text = f"{path}: {what} has raw numbers: the file states {columns[column].unscaled}, which was not applied"
+            raise DataError(f"{text}; give scale and offset in the mapping, scale: 1 where the numbers are in its unit")
         stated = columns[column].unit if calibrations[column] is None else None  # a calibration takes it away
         unit = file_unit(path, what, signal.unit, stated)
         if unit is None and stored:

@@ -157,6 +157,8 @@ class StoredArray(NamedTuple):
         Number of all samples, where `values` are some of them.
     clock, start_ns : int or None
         As of a `FileColumn`.
+    unscaled : str
+        As of a `FileColumn`.
     """
 
     values: Any
@@ -168,6 +170,7 @@ class StoredArray(NamedTuple):
     total: int | None = None
     clock: int | None = None
     start_ns: int | None = None
+    unscaled: str = ""
 
 
 ALL = FilePart()
@@ -190,6 +193,10 @@ def index_of(shape: tuple[int, ...], part: FilePart) -> tuple[tuple[slice, ...],
     return (*[slice(None)] * axis, rows), first, shape[axis]
 
 
+StoredReader = Callable[[], StoredArray]
+"""Function that reads an array of an open file."""
+
+
 class OpenFile(NamedTuple):
     """Open file that holds arrays by name.
 
@@ -199,11 +206,11 @@ class OpenFile(NamedTuple):
         From the name of an array, and the samples that are to be read, to the `StoredArray`. Raises DataError for a
         name that is not there.
     every : callable
-        Returns name and `StoredArray` of each, in the order of the listing.
+        Returns the name of each, in the order of the listing, and a function that returns its `StoredArray`.
     """
 
     get: Callable[[str, FilePart], StoredArray]
-    every: Callable[[], Iterable[tuple[str, StoredArray]]]
+    every: Callable[[], Iterable[tuple[str, StoredReader]]]
 
 
 Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]]
@@ -255,6 +262,7 @@ def _read_arrays(
                 first=stored.first,
                 clock=stored.clock,
                 start_ns=stored.start_ns,
+                unscaled=stored.unscaled,
             )
     if len(set(totals.values())) > 1 and any(column.start_ns is None for column in columns.values()):
         text = ", ".join(f"{name} {total}" for name, total in totals.items())
@@ -263,8 +271,21 @@ def _read_arrays(
 
 
 def _list_arrays(opener: Opener, what: str, path: Path) -> list[FileChannel]:
+    channels, faults, reads = [], list[Exception](), 0
     with _opened(opener, what, path, None) as file:
-        return [channel for name, stored in file.every() for channel in _array_channels(name, stored)]
+        for name, read in file.every():
+            reads += 1
+            try:
+                channels += _array_channels(name, read())
+            except MemoryError:
+                raise
+            except Exception as error:  # of one array: the others are listed
+                faults.append(error)
+                reason = str(error).removeprefix(f"{path}: ") if isinstance(error, GbidError) else in_one_line(error)
+                channels.append(FileChannel(name, 0, remark=f"not read: {reason}"))
+        if faults and len(faults) == reads:
+            raise faults[0]
+    return channels
 
 
 @contextmanager

@@ -933,6 +933,10 @@ def is_large(path: Path) -> bool:
             return len(re.findall(rb"^\*\*\*End_of_Header", content, re.MULTILINE)) <= _RULES
 
 
+_MOST_COLUMNS = 10_000
+_SHOWN_WIDE = 100  # first lines whose columns are counted
+
+
 def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:
     """Return the table in a text file, with its layout as given or as found; of a large file the ends if asked for.
 
@@ -948,6 +952,9 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
     text, encoding, gap_after, lines_left_out, rows_left_out = read_text(path, options.encoding, ends=ends)
     numbered = enumerate(text.split("\n"), start=1)
     lines = [NumberedLine(i + lines_left_out * (i > gap_after), line) for i, line in numbered if line.strip()]
+    if any(len(re.split(r"[,;\t ]", line.text)) > _MOST_COLUMNS for line in (*lines[:_SHOWN_WIDE], *lines[-1:])):
+        text = f"{path}: more than {_MOST_COLUMNS} columns; a column is one channel, a line one sample"
+        raise DataError(f"{text}: save the table the other way round, or the channels that are needed")
     lines, segments = _in_one_segment(path, _with_comments(lines))
     layout = replace(find_layout(lines, encoding, options), segments=segments)
     last = layout.rows_to or (lines[-1].number if lines else 0)

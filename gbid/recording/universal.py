@@ -8,6 +8,7 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.columns import numbered_twins
 from gbid.recording.mapping import FilePart
-from gbid.recording.readers import ALL, SPREAD, OpenFile, PairResponse, StoredArray, rows_of
+from gbid.recording.readers import ALL, SPREAD, OpenFile, PairResponse, StoredArray, StoredReader, rows_of
 
 _TIME, _RESPONSES, _COHERENCE = 1, (4, 5), 6  # types of functions: of time; FRF and transmissibility; coherence
 _OVER_TIME = 17  # what the abscissa is
@@ -199,10 +200,10 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
         first, *others = [each["x"] for each in read_rows(path, rows, over_time)]
         return first if all(np.array_equal(first, x) for x in others) else None
 
-    def every() -> Iterator[tuple[str, StoredArray]]:
-        yield from ((name, get(name)) for name in known)
+    def every() -> Iterator[tuple[str, StoredReader]]:
+        yield from ((name, partial(get, name)) for name in known)
         if "time" not in known and (shared := times(slice(None))) is not None:
-            yield "time", StoredArray(shared, "s")
+            yield "time", lambda: StoredArray(shared, "s")
 
     yield OpenFile(get, every)
 

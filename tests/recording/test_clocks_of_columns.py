@@ -188,6 +188,13 @@ def test_small_inputs_that_are_read(name, mapping, first, sample_time):
     assert recording.sample_time == pytest.approx(sample_time, rel=1e-9)
 
 
+@inputs
+def test_an_empty_date_is_listed_beside_the_others():
+    channels = {channel.name: channel for channel in list_channels(INPUTS / "d1_empty_datetime.mat")}
+    assert {name: channel.n_samples for name, channel in channels.items()} == {"p": 50, "stamp": 0, "t": 50}
+    assert channels["stamp"].remark
+
+
 def test_a_sparse_last_column_is_a_column(tmp_path):
     rows = [f"{DT * k:.4f};{k % 5};{'7' if k == 3 else ''}" for k in range(60)]
     path = tmp_path / "a.csv"

@@ -126,6 +126,9 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
     if shape is None:
         raise DamagedError(f"{where(group, name)} holds nothing, not {'texts' if texts else 'numbers'}")
     size = prod(shape) * kind.itemsize
+    made = dataset.get_create_plist()
+    if made.get_external_count() or made.get_layout() == h5py.h5d.VIRTUAL:
+        raise DamagedError(f"{where(group, name)} takes its data from another file, which gbid never writes")
     if size > _ROOM and size > _ROOM + _EXPANSION * dataset.get_storage_size():
         raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
     is_text = h5py.check_string_dtype(kind) is not None
@@ -394,7 +397,16 @@ def opened(path: Path) -> Iterator[h5py.File]:
             "program, or of gbid 0.1.0; make it again, import it, or take a copy of it from a backup"
         )
     with h5py.File(path, "r") as file:
+        link = file.id.links.visit(_outside, info=True)
+        if link is not None:
+            raise DamagedError(
+                f"{link.decode('utf-8', 'replace')!r} is a link to another file, which gbid never writes"
+            )
         yield file
+
+
+def _outside(name: bytes, about: Any) -> bytes | None:
+    return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
 
 
 def _check_kind(file: h5py.File, path: Path, kind: FileKind) -> None:
