@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from gbid.core.apart import read_apart
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.apart import read_apart
 from gbid.core.errors import DataError, UsageError
 from gbid.core.figures import Pictured
 from gbid.core.option_types import Positive, checks_arguments
@@ -341,9 +341,7 @@ def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairR
         raise DataError(f"{path}: is no table of a frequency response: {error}") from None
 
 
-def _of_text(
-    path: Path, lines: Sequence[str], needs_spread: bool
-) -> tuple[dict[tuple[str, str], PairResponse], bool]:
+def _of_text(path: Path, lines: Sequence[str], needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
     """Return the responses in the lines of a CSV file, as `_of_csv`.
 
     The header line is the first one with the frequency. Numbers have a decimal comma where no comma is between them.

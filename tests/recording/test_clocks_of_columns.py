@@ -7,7 +7,7 @@ import pytest
 
 import gbid
 from gbid.core.errors import DataError, UsageError
-from gbid.recording.importing import peek
+from gbid.recording.importing import list_channels, peek
 from gbid.recording.mapping import ImportMapping
 
 DT, LATE = 2e-4, 15
