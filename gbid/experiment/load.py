@@ -6,6 +6,7 @@ import inspect
 import pkgutil
 import re
 import shutil
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -185,22 +186,26 @@ def experiment_json_schema() -> dict[str, Any]:
     """Return the JSON schema of the experiment YAML, ready for ``json.dumps``.
 
     The description of a section is its docstring. When the docstring names the function or class of gbid that takes
-    the keys ("see `gbid.fit`"), the description of a key is that of the argument with the same name.
+    the keys ("see `gbid.fit`"), the description of a key is that of the argument with the same name. ``keys.toml``
+    describes all other keys.
 
     Returns
     -------
     dict
         JSON schema, draft 2020-12.
     """
+    lines = tomllib.loads(Path(__file__).with_name("keys.toml").read_text(encoding="utf-8"))
     schema = ExperimentFile.model_json_schema(by_alias=True, mode="validation")
     for section in (schema, *schema.get("$defs", {}).values()):
         words = section.get("description", "")
         described = _described_arguments(words)
         section["title"] = section.get("title", "").removesuffix("Section")
+        known = lines.get("" if section is schema else section["title"], {})
         section["description"] = _plain(words)
         for key, value in section.get("properties", {}).items():
             value.pop("title", None)  # pydantic makes it from the key, which the reader sees already
-            text = described.get(key) or described.get(_UNIT.sub("", key))
+            text = described.get(key) or described.get(_UNIT.sub("", key)) or ""
+            text = known.get(key) or ("" if text.startswith("See ") else text) or lines["any"].get(key) or text
             if text:
                 value.setdefault("description", text)
     for key, value in schema["properties"].items():

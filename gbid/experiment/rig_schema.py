@@ -207,7 +207,7 @@ class HammerSection(Section):
 
 
 class RunUpSection(RigPart, rig.RunUp, frozen=True):
-    """Runs with rising or falling speed."""
+    """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
 
     recordings: CountOrZero = 1
 
@@ -233,11 +233,11 @@ class CourseSection(Section):
 
 
 class SensorSection(RigPart, rig.SensorChain, frozen=True):
-    """Errors of the sensors."""
+    """Errors of the sensors; see `gbid.rig.SensorChain`."""
 
 
 class UnbalanceSection(RigPart, rig.Unbalance, frozen=True):
-    """Mass unbalance of the rotor."""
+    """Mass unbalance of the rotor; see `gbid.rig.Unbalance`."""
 
 
 class ActuatorSection(Section):
@@ -261,11 +261,11 @@ class ActuatorSection(Section):
 
 
 class FlexibleModeSection(RigPart, rig.FlexibleMode, frozen=True):
-    """Bending mode that the identified structure does not contain."""
+    """Bending mode that the identified structure does not contain; see `gbid.rig.FlexibleMode`."""
 
 
 class StiffeningSection(RigPart, rig.FilmStiffening, frozen=True):
-    """Gas film whose stiffness rises away from the centre."""
+    """Gas film whose stiffness rises away from the centre; see `gbid.rig.FilmStiffening`."""
 
 
 class FilmSection(RigPart, rig.GasFilm, frozen=True):
@@ -276,19 +276,19 @@ class FilmSection(RigPart, rig.GasFilm, frozen=True):
 
 
 class NonSynchronousSection(RigPart, rig.NonSynchronous, frozen=True):
-    """Whirl near a speed (paper, Sec. 4)."""
+    """Whirl near a speed (paper, Sec. 4); see `gbid.rig.NonSynchronous`."""
 
 
 class ProcessNoiseSection(RigPart, rig.ProcessNoise, frozen=True):
-    """Broadband force [m/s^2 per sqrt(Hz)]."""
+    """Broadband force; see `gbid.rig.ProcessNoise`."""
 
 
 class ScatterSection(RigPart, rig.Scatter, frozen=True):
-    """Scatter of the true parameters between recordings (paper, Sec. 4)."""
+    """Scatter of the true parameters between recordings (paper, Sec. 4); see `gbid.rig.Scatter`."""
 
 
 class FaultSection(RigPart, rig.Faults, frozen=True):
-    """Faults of the recordings whose names match one of the patterns."""
+    """Faults of the recordings whose names match one of the patterns; see `gbid.rig.Faults`."""
 
     recordings: Names
     dead: dict[Text, Finite] = Field(default_factory=dict)

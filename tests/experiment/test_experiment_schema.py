@@ -1,4 +1,5 @@
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
@@ -9,10 +10,11 @@ from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write
 from places import EXPERIMENTS
 from pydantic import BaseModel
 
+import gbid.experiment
 from gbid.core.errors import UsageError
 from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
-from gbid.experiment.load import _parse, _without, load_experiment
+from gbid.experiment.load import _parse, _without, experiment_json_schema, load_experiment
 from gbid.experiment.machine import rig_run
 from gbid.experiment.schema import ExperimentFile
 from gbid.rig import PiezoStacks
@@ -331,3 +333,17 @@ def test_factors_of_the_poles_go_to_the_stacks_of_their_axis():
 def test_a_value_with_an_unknown_tag_is_text(tmp_path):
     path = write_quick(tmp_path, text="format: 1\nname: tagged\nimport: {data_folder: ., recordings: !! }\n")
     assert "import.recordings: expected a list, found ''" in problems_of(path)[0]
+
+
+def test_each_key_is_described_once():
+    """Editors and the page of all keys show these lines."""
+    schema = experiment_json_schema()
+    sections = {"": schema, **{section["title"]: section for section in schema["$defs"].values()}}
+    keys = {(name, key): value for name, each in sections.items() for key, value in each["properties"].items()}
+    assert [key for key, value in keys.items() if not value.get("description")] == []
+    assert [key for key, value in keys.items() if value["description"].startswith("See ")] == []
+    path = Path(gbid.experiment.__file__).with_name("keys.toml")
+    lines = tomllib.loads(path.read_text(encoding="utf-8"))
+    anywhere = {key for _, key in keys}
+    assert [key for key in lines.pop("any") if key not in anywhere] == []
+    assert [(name, key) for name, each in lines.items() for key in each if (name, key) not in keys] == []
