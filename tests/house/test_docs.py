@@ -147,10 +147,8 @@ def words(path: Path) -> int:
 
 
 def test_pages_are_no_longer_than_a_reader_can_bear() -> None:
-    """Pages of docs and docs/readers; decisions, changelog and the lists of names of docs/api are not read in a row."""
-    pages = {
-        path.relative_to(DOCS).as_posix(): words(path) for path in (*DOCS.glob("*.md"), *DOCS.glob("readers/*.md"))
-    }
+    """Pages of docs; decisions, changelog and the lists of names of docs/api are not read in a row."""
+    pages = {path.relative_to(DOCS).as_posix(): words(path) for path in DOCS.glob("*.md")}
     longest = sorted(pages.items(), key=lambda item: -item[1])[:5]
     assert sum(pages.values()) <= WORDS_AT_MOST, f"{sum(pages.values())} words; the longest pages: {longest}"
 
