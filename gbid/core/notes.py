@@ -131,6 +131,8 @@ class ControlNote(NoteKind):
     FIT_NOT_CONVERGED = "GB412"
     WORST_POINTS_NOT_SEARCHED = "GB413"
     CLIPPED = "GB414"
+    UNMOVED_MODES = "GB415"
+    IDLE_GAINS = "GB416"
 
 
 # ---- All kinds of notes by their codes.

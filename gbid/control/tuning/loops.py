@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from gbid.control.controllers.structures import Scheduled
-from gbid.core.arrays import ComplexArray, FloatArray, IntArray
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 from gbid.structure.delay import pade_delay
@@ -165,6 +165,24 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
+class Unmoved(NamedTuple):
+    """What no gain within the bounds moves, see `gbid.control.tuning.reach`.
+
+    Attributes
+    ----------
+    shift : (m, n, n) array
+        Added to A, it makes these modes fast, so that they have no part in the objective.
+    modes : tuple of (loop, rate)
+        The modes: number of the loop and rate in continuous time [rad/s].
+    idle : (d,) array of bool
+        Gains that move no mode of these loops.
+    """
+
+    shift: FloatArray
+    modes: tuple[tuple[int, complex], ...]
+    idle: BoolArray
+
+
 @dataclass(frozen=True, eq=False)
 class LoopFamily(ABC):
     """Loops of equal size with common gains.
@@ -179,12 +197,15 @@ class LoopFamily(ABC):
         Number of rows of C of the output sensitivity; the rows below are the control signals. 0: A only.
     sample_time : float, optional
         Sample time of sampled loops [s], whose matrices are then those of the bilinear transform, see `plane`.
+    unmoved : Unmoved, optional
+        Modes that no gain moves, which A does not have then.
     """
 
     labels: tuple[str, ...]
     points: FloatArray | None = None
     n_outputs: int = 0
     sample_time: float | None = None
+    unmoved: Unmoved | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -221,7 +242,7 @@ class FunctionLoops(LoopFamily):
         From the gains (d, 1) to A, B, C, D of all loops side by side: ``(n, n m)`` and so on.
     jacobian : casadi.Function
         From the gains to the derivatives of ``vec(A)``, ... of each loop, side by side: ``(n^2, d m)`` and so on.
-    labels, points, n_outputs, sample_time
+    labels, points, n_outputs, sample_time, unmoved
         See `LoopFamily`.
     """
 
@@ -235,7 +256,8 @@ class FunctionLoops(LoopFamily):
 
     def matrices(self, gains: FloatArray) -> Loops:
         """Return the matrices of all loops."""
-        return Loops(*self._calls[0](gains))
+        A, *others = self._calls[0](gains)
+        return Loops(A if self.unmoved is None else A + self.unmoved.shift, *others)
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives, which stand between unit matrices."""
@@ -573,7 +595,7 @@ class ControlLoops(LoopFamily):
         Returns the plants with all their channels.
     ports : Ports, optional
         Disturbances and outputs in place of d and ``p + d``.
-    labels, points, n_outputs, sample_time
+    labels, points, n_outputs, sample_time, unmoved
         See `LoopFamily`.
     """
 
@@ -597,7 +619,7 @@ class ControlLoops(LoopFamily):
         if path not in self._paths:
             assert self.whole is not None
             plants, ports = self.whole().along(path)
-            self._paths[path] = replace(self, plants=plants, ports=ports, n_outputs=len(path.targets))
+            self._paths[path] = replace(self, plants=plants, ports=ports, n_outputs=len(path.targets), unmoved=None)
         return self._paths[path]
 
     @cached_property
@@ -641,7 +663,8 @@ class ControlLoops(LoopFamily):
         if E.any():
             K = inverses(np.eye(K.shape[-2]) - K @ E) @ K
         system, n = rest + left @ K @ right, self.plants.A.shape[-1] + self.law.n_states
-        return Loops(system[:, :n, :n].copy(), system[:, :n, n:], system[:, n:, :n], system[:, n:, n:])
+        A = system[:, :n, :n].copy() if self.unmoved is None else system[:, :n, :n] + self.unmoved.shift[loops]
+        return Loops(A, system[:, :n, n:], system[:, n:, :n], system[:, n:, n:])
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""

@@ -26,6 +26,7 @@ from gbid.control.tuning.loops import (
     WholePlants,
 )
 from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
+from gbid.control.tuning.reach import with_unmoved
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.search import typical_rate
 from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, point_label
@@ -288,12 +289,19 @@ class Plants(ABC):
         Delay of continuous loops by sampling and computation [s].
     sampling : Sampling, optional
         Rate of the target; None for continuous loops, in which delays are Padé delays.
+    box : tuple, optional
+        Bounds of the gains, limits and typical rate, with which modes that no gain moves leave the loops; see
+        `with_unmoved`. None: there are none at the points.
+    unmoved : tuple of complex
+        Rates of these modes at the points [rad/s].
     """
 
     structure: Any
     points: FloatArray
     delay_s: float = 0.0
     sampling: Sampling | None = None
+    box: tuple[FloatArray, FloatArray, Limits, float] | None = None
+    unmoved: tuple[complex, ...] = ()
     _known: dict[tuple[float, ...], LinearModel] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -302,7 +310,20 @@ class Plants(ABC):
         return replace(self, sampling=None)
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at points (m, 2), or some of them."""
+        """Loops at points (m, 2), or some of them, without the modes that no gain moves."""
+        family = self._loops(points, which)
+        return family if self.box is None else with_unmoved(family, *self.box)
+
+    def within(self, lower: FloatArray, upper: FloatArray, limits: Limits, middle: FloatArray) -> Self:
+        """Return these plants without the modes that no gain within bounds moves."""
+        family = self._loops(self.points)
+        scale = typical_rate((family,), middle)
+        found = with_unmoved(family, lower, upper, limits, scale).unmoved
+        if found is None:
+            return self
+        return replace(self, box=(lower, upper, limits, scale), unmoved=tuple(rate for _, rate in found.modes))
+
+    def _loops(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
         scenarios, labels = self.scenarios(points)
         chosen = list(range(len(scenarios)) if which is None else which)
         rows, names = scenarios[chosen], tuple(labels[i] for i in chosen)
@@ -347,7 +368,7 @@ class Plants(ABC):
     @property
     @abstractmethod
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
+        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
 
     @abstractmethod
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, Sequence[str]]:
@@ -440,10 +461,11 @@ class LpvPlants(Plants):
 
     @cached_property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
+        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
         every = (self.lpv, *self.others)
         return tuple(
-            min(slowest_mode(lpv.at(float(P), float(Omega)).poles()) for lpv in every) for P, Omega in self.points
+            min(slowest_mode(lpv.at(float(P), float(Omega)).poles(), self.unmoved) for lpv in every)
+            for P, Omega in self.points
         )
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
@@ -550,8 +572,8 @@ class ModelPlants(Plants):
 
     @property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
-        return tuple(slowest_mode(model.poles()) for model in self.models)
+        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
+        return tuple(slowest_mode(model.poles(), self.unmoved) for model in self.models)
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Points, and the names of their models."""
@@ -758,7 +780,10 @@ def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) ->
     return array
 
 
-def slowest_mode(poles: ComplexArray) -> float:
-    """Return the slowest decay [1/s] of the oscillatory modes, negative when one is unstable."""
+def slowest_mode(poles: ComplexArray, unmoved: Sequence[complex] = ()) -> float:
+    """Return the slowest decay [1/s] of the oscillatory modes, negative when one is unstable; some do not count."""
     pairs = poles[~is_real(poles)]
+    for rate in unmoved:
+        other = np.abs(pairs.real + 1j * np.abs(pairs.imag) - rate) > 1e-6 * abs(rate)
+        pairs = pairs[other] if other.any() else pairs
     return float(-pairs.real.max()) if len(pairs) else 0.0

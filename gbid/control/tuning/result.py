@@ -72,6 +72,11 @@ class WorstMode:
     frequency_hz: float
     damping: float
 
+    @classmethod
+    def of(cls, where: str, rate: complex) -> WorstMode:
+        """Return the mode of a rate [rad/s]."""
+        return cls(where, abs(rate) / (2 * np.pi), -rate.real / abs(rate) if rate else 0.0)
+
     def value(self, objective: Objective) -> float:
         """Return its damping factor, or its decay [1/s], whichever the `objective` is."""
         return self.damping if objective == "damping" else 2 * np.pi * self.frequency_hz * self.damping
@@ -109,7 +114,8 @@ class GainResult(Brief):
         Gains by name.
     value : float
         Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; computed from the
-        eigenvalues of the final matrices. Of an unstable design that of its worst pole, see `worst`.
+        eigenvalues of the final matrices. Modes that no gain moves do not count: the notes name them. Of an unstable
+        design that of its worst pole, see `worst`.
     objective : {"damping", "decay", "goals"}
         Quantity that was maximised. ``"goals"``: the smallest of minus the excesses of the soft goals, which `value`
         then is.
@@ -328,7 +334,7 @@ def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
             worst = (float(rank[i, j]), family.labels[i], complex(values[i, j]))
     assert worst is not None
     _, where, value = worst
-    return WorstMode(where, abs(value) / (2 * np.pi), -value.real / abs(value) if value else 0.0)
+    return WorstMode.of(where, value)
 
 
 @dataclass(frozen=True)

@@ -311,10 +311,11 @@ def on_draws(
     points, parameters = plants.points, plants.structure.parameters
     m = len(plants.scenarios(points)[0]) // (n + 1)
     x = np.array([gains[p.name] for p in parameters])
-    nominal = (plants.family(points, range(m)),)
     machine = plants.lpv.machine if isinstance(plants, LpvPlants) else None
     limits = limits_of(options.goals or (), plants.plant, machine)
     low, high = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
+    plants = plants.within(low, high, limits, x)
+    nominal = (plants.family(points, range(m)),)
     problem = GainProblem(nominal, limits, low, high, typical_rate(nominal, x))
     each = max(1, _BLOCK // m)
     values, violations = [], []

@@ -18,6 +18,7 @@ from gbid.control.tuning.local import LocalOptimum, LocalOptions, optimise_local
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plants import FEW_LOOPS, Plants
 from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits
+from gbid.control.tuning.reach import with_unmoved
 from gbid.control.tuning.result import (
     GainResult,
     GainStatus,
@@ -457,12 +458,14 @@ def maximise_damping(
     given = [] if options.start is None else [np.clip(as_start(options.start, names), low, high)]
     neutral = usable_start(families, [neutral, *given], low, high, options.seed)
     scale, designs = typical_rate(families, neutral), Evaluations(most=options.evaluations)
+    families = tuple(with_unmoved(family, low, high, limits, scale) for family in families)
     problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
     task = SearchTask(
         neutral, tuple(given), SearchOptions(options.starts, options.seed, options.evaluations), options.progress
     )
     # a search without a certificate may have ended in a poor basin: half of them do on a chemical reactor
     solution, values = independent_searches(partial(solve, problem), task, 2, certified_is_enough=True)
+    solution = with_idle_at(solution, neutral)
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
     verified = f"eigenvalues{norms} of the {n_loops} closed-loop matrices"
@@ -476,6 +479,36 @@ def _listed(functions: Any) -> list[Any]:
             f"A_of_gains is a {kind}; give a casadi.Function from the gains to the matrix, or a list of these"
         )
     return list(functions)
+
+
+def with_idle_at(solution: GainSolution, neutral: FloatArray) -> GainSolution:
+    """Return a design whose gains that move no mode stay at their neutral values, if that makes it no worse."""
+    problem, best = solution.problem, solution.best
+    found = [family.unmoved for family in problem.families if family.unmoved]
+    idle = np.logical_and.reduce([each.idle for each in found]) if len(found) == len(problem.families) else None
+    if idle is None or not idle.any() or problem.evaluations.late:
+        return solution
+    x = np.where(idle, neutral, best.x)
+    score = problem.score(x)
+    return solution if better(best.score, score) else replace(solution, best=replace(best, x=x, score=score))
+
+
+def _unmoved(problem: GainProblem, names: tuple[str, ...], value: float) -> tuple[str, ...]:
+    """Return notes on gains that move no mode, and on light modes, or worse than the value, that no gain moves."""
+    every = [family for family in problem.families if family.unmoved]
+    modes = [WorstMode.of(f.labels[i], rate) for f in every for i, rate in (f.unmoved.modes if f.unmoved else ())]
+    modes = [mode for mode in modes if mode.value(problem.limits.objective) < value or mode.damping < _LIGHT]
+    modes.sort(key=lambda mode: mode.value(problem.limits.objective))
+    notes: tuple[str, ...] = ()
+    if modes:
+        listed = [f"{mode.frequency_hz:.4g} Hz, damping {mode.damping:.3g}, of {mode.where}" for mode in modes]
+        more = f"; and {len(listed) - _PLACES} more" if len(listed) > _PLACES else ""
+        text = f"no gain moves the modes with {'; '.join(listed[:_PLACES])}{more}: the design is for the other modes"
+        notes = (ControlNote.UNMOVED_MODES(text if len(listed) > 1 else text.replace("modes with", "mode with")),)
+    idle = [name for i, name in enumerate(names) if len(every) and all(f.unmoved and f.unmoved.idle[i] for f in every)]
+    if idle and len(every) == len(problem.families):
+        notes += (ControlNote.IDLE_GAINS(f"{', '.join(idle)}: no mode of any loop moves with these gains"),)
+    return notes
 
 
 def summarise(
@@ -521,6 +554,8 @@ def summarise(
             "steps to meeting eigenvalues, random moves and gradients from balls around it found no better one"
         )
         notes = (*notes, ControlNote.NO_CERTIFICATE(text))
+    reached = problem.in_units(score.value) if stable else worst.value(problem.limits.objective)
+    notes = (*notes, *_unmoved(problem, names, reached))
     active, peaks = _active(problem, x, names, stable), _peaks(problem, x, stable)
     if stable and not peaks and late:
         verified_on += " at first, eigenvalues alone at the end: the time was over"
@@ -529,7 +564,7 @@ def summarise(
     more = {**peaks, **more}
     result = GainResult(
         dict(zip(names, map(float, x), strict=True)),
-        problem.in_units(score.value) if stable else worst.value(problem.limits.objective),
+        reached,
         problem.limits.objective,
         status,
         score.violation,
@@ -603,6 +638,8 @@ def _located(title: str, places: list[str]) -> list[str]:
     return [f"{title} at {place}" for place in places] or [title]
 
 
+_LIGHT = 0.5
+"""Damping factor below which a mode that no gain moves is named even if others are worse; filters have more."""
 _PLACES = 4
 """Largest number of places of a limit that are named one by one."""
 _TITLES = {

@@ -30,6 +30,7 @@ from gbid.control.tuning.solve import (
     independent_searches,
     solve_over_points,
     summarise,
+    with_idle_at,
 )
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief, Description, brief
@@ -144,9 +145,13 @@ def tuned(
     over = getattr(model, "domain", None) if not speeds else Domain((0.0, 0.0), (min(speeds), max(speeds)))
     structure = with_schedule(structure, over)
     plants = plants_of(model, structure, options)
+    box = _gain_bounds(structure, options.bounds)
+    if options.goals is None:
+        plants = plants.within(*box[:2], Limits(options.objective), box[2])
     goals = options.default_goals(min(plants.slowest)) if options.goals is None else options.goals
     limits = limits_of(goals, plants.plant, plants.lpv.machine if isinstance(plants, LpvPlants) else None)
-    box = _gain_bounds(structure, options.bounds)
+    if options.goals is not None:
+        plants = plants.within(*box[:2], limits, box[2])
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("start", options.start, names)
     first = [as_start([given.get(n, v) for n, v in zip(names, box[2], strict=True)], names)] if given else []
@@ -162,6 +167,7 @@ def tuned(
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
+    solution = with_idle_at(solution, box[2])
     used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
     if isinstance(plants, ModelPlants) and isinstance(structure, Scheduled):
@@ -217,9 +223,10 @@ def _constant_gains(
     plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, effort: SearchOptions, budget: Evaluations
 ) -> FloatArray:
     """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
-    others = replace(plants.continuous, structure=replace(structure, terms=("1",)))
     constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
     low, high, start = (values[constant] for values in box)
+    others = replace(plants.continuous, structure=replace(structure, terms=("1",)), box=None)
+    others = others.within(low, high, limits, start)
     problem = others.problem(limits, low, high, start, budget)
     solution = solve_over_points(others, problem, SearchTask(start, options=effort))
     coefficients = np.zeros(len(constant))
