@@ -101,6 +101,8 @@ class DataNote(NoteKind):
     ONE_DIRECTION = "GB206"
     NOT_MOVED = "GB207"
     CHANGED_BY_HAND = "GB208"
+    CLIPPED = "GB209"
+    ANGLE_JUMPS = "GB210"
 
 
 class SurfaceNote(NoteKind):

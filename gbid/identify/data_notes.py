@@ -1,4 +1,4 @@
-"""Notes on data with which a fit converges and is wrong: units, twins, spikes, equal inputs, answers before a cause."""
+"""Notes on data with which a fit converges and is wrong: units, twins, clipping, spikes, early answers."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from gbid.core.arrays import FloatArray
-from gbid.core.notes import FitNote
+from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.notes import DataNote, FitNote
 from gbid.identify.data import FitData, Record, centred_rows, column_variances
 from gbid.identify.pose import FitTask
 from gbid.recording.cause import lead_before
+from gbid.recording.quality import stays_at_limits
 from gbid.structure.built_in import KEY_PARAMETERS
 
 _MOTION = 2e-4  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres, that of a
@@ -44,7 +45,11 @@ def data_notes(task: FitTask) -> Iterator[str]:
     yield from _twins(data.records)
     yield from _same_inputs(data)
     for record in data.records:
-        yield from _spikes(record, data.output_names, left_out.get(record.name, ()))
+        counts = np.ones(record.n_samples, bool)
+        for start, stop in left_out.get(record.name, ()):
+            counts[start:stop] = False
+        yield from _clipped(record, (*data.input_names, *data.output_names), counts)
+        yield from _spikes(record, data.output_names, counts)
         yield from _early_answers(record, data)
 
 
@@ -86,11 +91,19 @@ def _twins(records: Sequence[Record]) -> Iterator[str]:
             )
 
 
-def _spikes(record: Record, names: Sequence[str], left_out: Sequence[tuple[int, int]]) -> Iterator[str]:
+def _clipped(record: Record, names: Sequence[str], counts: BoolArray) -> Iterator[str]:
+    """Yield a note on each channel that stays at its largest or smallest value, the limit of its sensor."""
+    for name, column in zip(names, chain(record.inputs.T, record.outputs.T), strict=True):
+        if limits := stays_at_limits(column[counts]):
+            yield DataNote.CLIPPED(
+                f"recording {record.name!r}: {name!r} is clipped: {sum(limits.values())} samples stay at "
+                f"{' and '.join(f'{limit:.4g}' for limit in limits)}; estimates are wrong by more than their standard "
+                "deviations; widen the range of the sensor, or leave those samples out (left_out=...)"
+            )
+
+
+def _spikes(record: Record, names: Sequence[str], counts: BoolArray) -> Iterator[str]:
     """Yield a note on each output with spikes: far beyond nearly all samples, and alone there."""
-    counts = np.ones(record.n_samples, bool)
-    for start, stop in left_out:
-        counts[start:stop] = False
     rank, (size, ordered) = int(0.99 * record.n_samples), np.empty((2, record.n_samples))
     for name, column in zip(names, record.outputs.T, strict=True):
         ordered[:] = column

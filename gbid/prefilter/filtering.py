@@ -21,7 +21,7 @@ from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.notes import DataNote
 from gbid.core.option_types import checks_arguments
 from gbid.core.tables import Column, Row, Table, shown_unit
-from gbid.prefilter.runout import RunoutMap, running_median, shaft_motion
+from gbid.prefilter.runout import RunoutMap, running_median, sensor_notes, shaft_motion
 from gbid.recording import Recording
 
 # ---- Spikes: single wrong samples, found by their neighbours and replaced.
@@ -333,7 +333,7 @@ def prefilter(
         )
     before = {name: values for name, values in rec.signals.items() if name not in _NO_MEAN}
     after = dict(before)
-    notes: list[str] = []
+    notes = sensor_notes(rec, position)
     steps: list[str] = []
     share = np.zeros(before[position].shape[1])
     if runout_map is not None:

@@ -14,7 +14,9 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
+from gbid.core.notes import DataNote
 from gbid.recording import Recording
+from gbid.recording.quality import find_problems
 
 # ---- Cosine and sine by the same elementary operations on every machine, so that a program in C can give the same
 # bits.
@@ -333,6 +335,16 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
 
 
 # ---- Running median (paper, Sec. 3.5).
+
+
+def sensor_notes(rec: Recording, position: str) -> list[str]:
+    """Return notes on clipped channels of the position, and on jumps and stops of the shaft angle."""
+    signals = [name for name in (position, "phi") if name in rec.signals]
+    clipped = find_problems(rec, signals, ("saturated",))
+    jumps = find_problems(rec, signals, ("encoder",))
+    return [DataNote.CLIPPED(problem.text) for problem in clipped] + [
+        DataNote.ANGLE_JUMPS(problem.text) for problem in jumps
+    ]
 
 
 def running_median(values: FloatArray, size: int) -> FloatArray:

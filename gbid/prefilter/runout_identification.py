@@ -16,7 +16,15 @@ from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import DataNote
 from gbid.core.option_types import Count
-from gbid.prefilter.runout import TURN, RunoutMap, ShaftMotion, differing_condition, running_median, shaft_motion
+from gbid.prefilter.runout import (
+    TURN,
+    RunoutMap,
+    ShaftMotion,
+    differing_condition,
+    running_median,
+    sensor_notes,
+    shaft_motion,
+)
 from gbid.recording import Recording
 
 # Above this condition number the recorded angles cannot distinguish two harmonics (aliasing at few angles per turn).
@@ -82,6 +90,7 @@ def identify_runout(
         if signal not in rec.signals:
             raise DataError(f"recording {rec.name!r} has no signal {signal!r}, of which the map is to be made")
         _check_still(rec, still, notes, ("w",) if in_loop else ("r", "u"))
+        notes += sensor_notes(rec, signal)
         if rec.channels[signal] != first.channels[signal] or differing_condition(rec.conditions, first.conditions):
             raise DataError(
                 f"recordings {first.name!r} and {rec.name!r} differ in channels or conditions; "

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.notes import FitNote
 from gbid.recording.cause import lead_before
 from gbid.recording.recording import Recording, without_gaps
@@ -444,7 +444,7 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
     zero is neither.
     """
     increments = turning_increments(rec)
-    if increments is None:
+    if increments is None or (increments.min() > 0 and np.ptp(increments) <= SLIP):  # no increment can be off by a slip
         return
     speed = scipy.ndimage.median_filter(increments, size=_SMOOTH, mode="nearest")
     off = np.abs(increments - speed)
@@ -713,18 +713,35 @@ def _with_unit(value: float, unit: str) -> str:
 
 
 def stays_at_limits(column: FloatArray) -> dict[float, int]:
-    """Return the number of samples in long runs at each extreme value; empty when the channel is not saturated."""
+    """Return the number of samples in long runs at each extreme value; empty when the channel is not saturated.
+
+    A step response that settles at its largest value is not saturated.
+    """
     if np.count_nonzero((column == column.min()) | (column == column.max())) <= MAX_STAY * len(column):
         return {}  # without a sort
     levels, counts = np.unique(column, return_counts=True)
     if len(levels) <= FEW_LEVELS:
         return {}
     stays = {}
-    for extreme, neighbour in ((0, 1), (-1, -2)):
-        stay = sum(b - a for a, b in runs(column == levels[extreme]) if b - a >= MIN_RUN)
-        if stay and counts[extreme] > PILE * counts[neighbour]:
-            stays[float(levels[extreme])] = stay
+    for levels_inwards, counts_inwards in ((levels, counts), (levels[::-1], counts[::-1])):
+        limit = levels_inwards[0]
+        long = [(a, b) for a, b in runs(column == limit) if b - a >= MIN_RUN]
+        arrivals = [abs(column[a - 1] - limit) for a, _ in long if a]
+        piled = counts_inwards[0] > PILE * counts_inwards[1]
+        if long and piled and not (arrivals and _settles(arrivals, levels_inwards, counts_inwards)):
+            stays[float(limit)] = sum(b - a for a, b in long)
     return stays if sum(stays.values()) > MAX_STAY * len(column) else {}
+
+
+def _settles(arrivals: list[float], levels: FloatArray, counts: IntArray) -> bool:
+    """Return whether a signal slows down before it reaches ``levels[0]``, its limit, as a step response does.
+
+    A signal that its sensor clips arrives there at its usual speed, which is in steps much larger than the spacing of
+    the levels, or, when it is slow, after as much time at one level as at the next.
+    """
+    spacing = np.abs(np.diff(levels[:6]))
+    speed = spacing[1:] / counts[1:5]
+    return bool(np.median(arrivals) <= 1.5 * np.median(spacing) and speed[:2].mean() < 0.6 * speed[2:].mean())
 
 
 # ---- Quality checks across recordings: equal content under two names, and a sample time unlike the others.

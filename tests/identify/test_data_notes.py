@@ -8,6 +8,7 @@ import gbid
 from gbid.identify.data_notes import data_notes
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import pose
+from gbid.recording.quality import stays_at_limits
 
 H = 2e-4
 
@@ -128,3 +129,19 @@ def test_a_ship_may_move_by_metres():
     result = gbid.fit(structure, recording(1e6 * u, 1e6 * p), focus="simulation")
     assert result.success
     assert not codes(result)
+
+
+def test_a_clipped_output_is_named():
+    u, p = disc(0)
+    p[:, 1] = np.clip(p[:, 1], None, 0.4 * p[:, 1].max())
+    (note,) = [note for note in bearing(recording(u, p)).notes if "GB209" in note]
+    assert "'p_y' is clipped" in note
+
+
+def test_a_quantised_step_response_that_settles_is_not_clipped():
+    t = H * np.arange(4000)
+    settled = 1e-5 * (1 - np.exp(-np.mod(t, 0.2) / 0.01))
+    for quantum in (1e-12, 1e-8, 1e-7):
+        column = np.round(settled / quantum) * quantum
+        assert not stays_at_limits(column)
+    assert list(stays_at_limits(np.clip(settled, None, 0.8e-5))) == [0.8e-5]

@@ -60,6 +60,19 @@ def test_known_harmonics_come_back():
     assert made.turns == pytest.approx(5900 / 60, rel=1e-3)
 
 
+def test_a_clipped_position_and_a_lost_index_are_named():
+    """A lost index turns the map from there on: the run-out that it leaves is as large as the run-out."""
+    rec = known()
+    clipped = replace(rec, signals={**rec.signals, "p": np.clip(rec.signal("p"), None, 6e-6)})
+    phi = rec.signal("phi").copy()
+    phi[2500:] = np.mod(phi[2500:] + 1.1, 2 * np.pi)
+    slipped = replace(rec, signals={**rec.signals, "phi": phi}, conditions={})
+    for signals, code in ((clipped, "GB209"), (slipped, "GB210")):
+        assert any(code in note for note in identify_runout(signals).notes)
+        assert any(code in note for note in prefilter(signals, identify_runout(rec), any_condition=True)[1].notes)
+    assert not identify_runout(rec).notes
+
+
 def test_bins_find_the_same_run_out_without_knowing_its_orders():
     made = identify_runout(known(), method="bins", bins=200)
     np.testing.assert_allclose(made.amplitudes(3), AMPLITUDES, atol=2e-9)
