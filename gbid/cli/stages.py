@@ -24,7 +24,7 @@ from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
 from gbid.report.campaign_tables import campaign_document, campaign_tables
 from gbid.report.read import kept_report
-from gbid.report.views import fit_rows, summary_lines, view_of
+from gbid.report.views import fit_rows, points_of, summary_lines, view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
 
@@ -369,7 +369,7 @@ def run_all(path: Path, options: CommonOptions) -> None:
     page = None if written.state == "failed" else str(written.path)
     about = {"experiment": experiment.spec.name, "results": str(experiment.results), "figures": figures, "report": page}
     lines = [f"figure: {file}" for file in figures] if options.verbose else []
-    lines += [*summary_lines(document), f"results: {experiment.results}"]
+    lines += [*summary_lines(document, points_of(experiment)), f"results: {experiment.results}"]
     lines += [f"report: {page}"] if page else []
     conclude("run", experiment, options, outcomes, {**document, **about}, tables if options.verbose else (), lines)
 

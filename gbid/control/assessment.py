@@ -127,7 +127,7 @@ class ComparedFigure(NamedTuple):
 
 
 FIGURES = {
-    "damping": ComparedFigure("smallest damping", lambda q: q.damping, lowest_is_worst=True),
+    "damping": ComparedFigure("continuous damping", lambda q: q.damping, lowest_is_worst=True),
     "peak_output": ComparedFigure("peak S_o", lambda q: q.peak_output.value),
     "peak_control": ComparedFigure("peak K S_o", lambda q: q.peak_control.value),
     "disk_margin": ComparedFigure("disk margin", lambda q: q.disk.alpha, lowest_is_worst=True),

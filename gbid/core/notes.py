@@ -25,12 +25,15 @@ class Explanation(NamedTuple):
         Where it comes from, and what it means for the result.
     remedy : str
         What one can do.
+    warns : bool
+        Whether the note questions the result. Other notes tell how it was obtained.
     """
 
     code: str
     title: str
     meaning: str
     remedy: str
+    warns: bool = True
 
 
 class NoteKind(Enum):

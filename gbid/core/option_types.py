@@ -93,6 +93,10 @@ NotNegative = Annotated[float, Exact(finite=True), Ge(0)]
 Share = Annotated[float, Exact(), Gt(0), Le(1)]
 Count = Annotated[int, Exact(), Ge(1)]
 CountOrZero = Annotated[int, Exact(), Ge(0)]
+Repeats = Annotated[int, Exact(), Ge(1), Le(1000)]
+RepeatsOrZero = Annotated[int, Exact(), Ge(0), Le(1000)]
+Order = Annotated[int, Exact(), Ge(1), Le(20)]
+Duration = Annotated[float, Exact(finite=True), Gt(0), Le(36_000)]
 Names = Annotated[tuple[str, ...], OneText()]
 
 

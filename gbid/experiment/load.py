@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from gbid.core.tables import file_size
 from gbid.core.yaml_file import read_yaml, with_changes
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
 from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_faults
+from gbid.experiment.machine import rig_model
 from gbid.experiment.recordings import mapping_of
 from gbid.experiment.run import has_section
 from gbid.experiment.schema import ExperimentFile
@@ -326,6 +328,38 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> It
                 )
 
 
+def too_many_harmonics(experiment: Experiment, seen: Mapping[str, Peek]) -> Iterator[str]:
+    """Yield a text where the last harmonic of the run-out map lies beyond half the sampling rate of a recording."""
+    prefilter = experiment.spec.prefilter
+    if prefilter is None or prefilter.method != "harmonics" or prefilter.harmonics == "auto":
+        return
+    if "harmonics" not in prefilter.model_fields_set:
+        return
+    for name, head in seen.items():
+        turns = abs(experiment.recordings[name].conditions.get("speed_rpm", 0.0)) / 60
+        if turns and prefilter.harmonics * turns >= 0.5 / head.sample_time:
+            yield (
+                f"prefilter: harmonics = {prefilter.harmonics}, but at {60 * turns:g} rpm samples of "
+                f"{head.sample_time:g} s show at most {ceil(0.5 / (head.sample_time * turns)) - 1}: give fewer, or auto"
+            )
+
+
+def controllers_too_slow(experiment: Experiment) -> Iterator[str]:
+    """Yield a text for each controller that samples a mode of the rig less than twice in a period."""
+    rig = experiment.spec.rig
+    for name, section in experiment.spec.controller.items() if rig is not None else ():
+        step = section.sample_time_s
+        if rig is None or step is None:
+            continue
+        plants = (rig_model(experiment).plant_at(point.pressure_bar, point.speed_rpm) for point in rig.operating_points)
+        fastest = max((frequency for plant in plants for frequency, _ in plant.modes()[:2]), default=0.0)
+        if step * fastest >= 0.5:
+            yield (
+                f"controller {name}: sample_time_s = {step:g} s, but the machine has a mode at {fastest:.4g} Hz: at "
+                f"most {0.5 / fastest:.2g} s can act on it, better a tenth of that"
+            )
+
+
 def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, int]:
     """Return the estimated size of all results and the free space of their disk.
 
@@ -364,7 +398,9 @@ def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[in
     texts = [f"{experiment.file.position(planned.location)}: {error}" for planned, error in broken]
     code = max((error.exit_code for _, error in broken), default=0)
     needed, free = disk_space(experiment, seen)
-    faults = [*sample_times_differ(experiment, seen), *dict.fromkeys(recordings_too_short(experiment, seen))]
+    checks = (sample_times_differ, recordings_too_short, too_many_harmonics)
+    faults = [*dict.fromkeys(text for check in checks for text in check(experiment, seen))]
+    faults += controllers_too_slow(experiment)
     if needed > free:
         sizes = f"the results need about {file_size(needed)}, {file_size(free)} are free"
         faults.append(f"{experiment.results}: {sizes}; make room, or write elsewhere with --results")

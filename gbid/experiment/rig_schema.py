@@ -8,7 +8,17 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, mo
 
 from gbid import rig
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Count, CountOrZero, Exact, Finite, NotNegative, Positive
+from gbid.core.option_types import (
+    CountOrZero,
+    Duration,
+    Exact,
+    Finite,
+    NotNegative,
+    Order,
+    Positive,
+    Repeats,
+    RepeatsOrZero,
+)
 from gbid.experiment.fields import Name, Names, OptionsSection, Pair, Section, Switch, Text, given
 
 
@@ -65,7 +75,7 @@ class ControllerChoice(Section):
     structure: Text | None = None
     gains: dict[Text, Finite] = Field(default_factory=dict)
     lowpass_hz: Positive | None = None
-    order: CountOrZero | None = None
+    order: Annotated[CountOrZero, Le(20)] | None = None
     options: dict[Text, Finite | Pair] = Field(default_factory=dict)
 
 
@@ -78,10 +88,10 @@ class RigLoopSection(ControllerChoice):
     `stationary` recordings under the controller show; ``none`` for sensors without run-out.
     """
 
-    recordings: Count = 2
-    stationary: CountOrZero | None = None
+    recordings: Repeats = 2
+    stationary: RepeatsOrZero | None = None
     amplitude_m: Positive | None = None
-    hold_s: Positive | None = None
+    hold_s: Duration | None = None
     runout: Literal["online", "offline", "none"] = "online"
 
 
@@ -97,11 +107,11 @@ class LoopSection(ControllerChoice):
 
     sampled: Switch = True
     sample_time_s: Positive | None = None
-    computation_samples: CountOrZero = 1
+    computation_samples: RepeatsOrZero = 1
     delay_s: NotNegative | None = None
     measured: Annotated[tuple[CountOrZero, ...], Field(min_length=1)] | None = None
     injected: Literal["plant input", "set point"] = "plant input"
-    pade_order: Count | None = 3
+    pade_order: Order | None = 3
     beside: Text | None = None
 
 
@@ -136,15 +146,15 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1)]
 class OperatingPoint(Place):
     """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
 
-    prbs_recordings: CountOrZero | None = None
+    prbs_recordings: RepeatsOrZero | None = None
 
 
 class PrbsSection(Section):
     """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
 
-    recordings: CountOrZero = 2
+    recordings: RepeatsOrZero = 2
     amplitude_m: Positive = rig.Prbs.amplitude_m
-    hold_s: Positive = rig.Prbs.hold_s
+    hold_s: Duration = rig.Prbs.hold_s
 
 
 class PlayedSection(Section):
@@ -154,15 +164,15 @@ class PlayedSection(Section):
     """
 
     file: Text
-    recordings: Count = 1
+    recordings: Repeats = 1
     at: Places | None = None
 
 
 class StationarySection(Section):
     """Recordings with piezos at rest (paper, Sec. 3.5)."""
 
-    recordings: CountOrZero = 1
-    duration_s: Positive | None = None
+    recordings: RepeatsOrZero = 1
+    duration_s: Duration | None = None
 
 
 class StaircaseSection(Section):
@@ -171,12 +181,12 @@ class StaircaseSection(Section):
     `at`: operating points of the staircases; all when left out.
     """
 
-    recordings: CountOrZero = 1
+    recordings: RepeatsOrZero = 1
     at: Places | None = None
     axes: Axes = ("x", "y")
     step_m: Positive = rig.Staircase.step_m
-    steps: Count = rig.Staircase.steps
-    hold_s: Positive = rig.Staircase.hold_s
+    steps: Repeats = rig.Staircase.steps
+    hold_s: Duration = rig.Staircase.hold_s
 
 
 class StackStaircaseSection(Section):
@@ -185,31 +195,31 @@ class StackStaircaseSection(Section):
     `at`: operating points of the staircases; all when left out.
     """
 
-    recordings: CountOrZero = 1
+    recordings: RepeatsOrZero = 1
     at: Places | None = None
     stacks: Annotated[tuple[Annotated[int, Exact(), Ge(1), Le(4)], ...], Field(min_length=1)] = (
         rig.StackStaircase.stack,
     )
     controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
-    steps: Count = rig.StackStaircase.steps
-    hold_s: Positive = rig.StackStaircase.hold_s
+    steps: Repeats = rig.StackStaircase.steps
+    hold_s: Duration = rig.StackStaircase.hold_s
 
 
 class HammerSection(Section):
     """Hammer impacts, `recordings` for each axis (paper, Sec. 5.1); see `gbid.rig.Hammer` and `gbid.rig.Impact`."""
 
-    recordings: CountOrZero = 1
+    recordings: RepeatsOrZero = 1
     axes: Axes = ("x", "y")
     times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (rig.Impact.time,)
     peak_n: Positive = rig.Impact.peak
     impact_s: Positive = rig.Impact.duration
-    duration_s: Positive = rig.Hammer.duration_s
+    duration_s: Duration = rig.Hammer.duration_s
 
 
 class RunUpSection(RigPart, rig.RunUp, frozen=True):
     """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
 
-    recordings: CountOrZero = 1
+    recordings: RepeatsOrZero = 1
 
 
 Course = Annotated[tuple[NotNegative, ...], Field(min_length=2)]
@@ -223,8 +233,8 @@ class CourseSection(Section):
     """
 
     name: Name
-    recordings: Count = 1
-    duration_s: Positive | None = None
+    recordings: Repeats = 1
+    duration_s: Duration | None = None
     times_s: Course | None = None
     pressure_bar: NotNegative | Course
     speed_rpm: NotNegative | Course
@@ -307,10 +317,10 @@ class RigSection(Section):
     model: Text = "theisen2016"
     seed: CountOrZero = 1
     operating_points: Annotated[tuple[OperatingPoint, ...], Field(min_length=1)]
-    duration_s: Positive = rig.Prbs.duration_s
-    settle_s: NotNegative = 0.5
+    duration_s: Duration = rig.Prbs.duration_s
+    settle_s: Annotated[NotNegative, Le(3600)] = 0.5
     sample_time_s: Positive = 2e-4
-    oversampling: Annotated[int, Exact(), Ge(20)] = 20
+    oversampling: Annotated[int, Exact(), Ge(20), Le(1000)] = 20
     controller: Literal["python", "compiled"] = "python"
     touch_down: Literal["refuse", "flag"] = "refuse"
     clearance_m: Positive = 25e-6
@@ -335,3 +345,12 @@ class RigSection(Section):
     scatter: Annotated[ScatterSection | None, BeforeValidator(given)] = None
     effects: dict[Text, dict[Text, Finite]] = Field(default_factory=dict)
     faults: tuple[FaultSection, ...] = ()
+
+    @model_validator(mode="after")
+    def _excitation_switches(self) -> Self:
+        if self.prbs.recordings and self.prbs.hold_s >= self.duration_s:
+            raise ValueError(
+                f"prbs.hold_s: {self.prbs.hold_s:g} s, so a PRBS never switches within the {self.duration_s:g} s of a "
+                "recording (duration_s); hold it for some milliseconds"
+            )
+        return self

@@ -18,7 +18,20 @@ from pydantic import (
 
 from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive, Share
+from gbid.core.option_types import (
+    Allowed,
+    Count,
+    CountOrZero,
+    Duration,
+    Exact,
+    Finite,
+    NotNegative,
+    Order,
+    Positive,
+    Repeats,
+    RepeatsOrZero,
+    Share,
+)
 from gbid.experiment.fields import (
     Deferred,
     Holds,
@@ -63,10 +76,10 @@ class HammerTrain(Section):
 
     axes: Axes = ("x", "y")
     peak_n: Positive = 12.0
-    impact_s: Positive = 2e-3
-    repeats: Count = 5
-    spacing_s: Positive = 0.4
-    harmonics: CountOrZero | None = None
+    impact_s: Duration = 2e-3
+    repeats: Repeats = 5
+    spacing_s: Duration = 0.4
+    harmonics: RepeatsOrZero | None = None
     lags: Annotated[int, Exact(), Ge(0), Le(6)] | Literal["auto"] = "auto"
 
 
@@ -118,11 +131,11 @@ class CycleSection(Section):
     design: Name | None = None
     rounds: Annotated[int, Exact(), Ge(1), Le(MOST_ROUNDS)] = 2
     operating_points: Places | None = None
-    recordings: Count = 1
+    recordings: Repeats = 1
     in_run: Switch = True
-    duration_s: Positive | None = None
+    duration_s: Duration | None = None
     amplitude_m: Positive | None = None
-    hold_s: Positive | None = None
+    hold_s: Duration | None = None
     impacts: Annotated[TrialSection, BeforeValidator(given)] = TrialSection()
 
 
@@ -149,7 +162,7 @@ class ExciteSection(Section):
     """
 
     fit: Name
-    duration_s: Positive = 5.0
+    duration_s: Duration = 5.0
     kind: Literal["multisine", "prbs"] = "multisine"
     focus: Annotated[Names | dict[Text, Positive], Allowed("names, or positive weights by name")] | None = None
     together: Switch = True
@@ -184,7 +197,7 @@ class StructureOptions(Section):
     """
 
     delay: Literal["exact", "pade"] | None = None
-    pade_order: Count | None = None
+    pade_order: Order | None = None
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
     poles: Literal["real", "any"] | None = None
     film: Literal["linear", "stiffening"] | None = None
@@ -216,7 +229,7 @@ class PriorSection(Section):
 class MultiStartSection(Section):
     """Further starts, drawn at random; see `gbid.fit_multistart`."""
 
-    starts: Annotated[int, Exact(), Ge(2)] = 10
+    starts: Annotated[int, Exact(), Ge(2), Le(10_000)] = 10
     seed: CountOrZero = 0
     reach: Positive = 0.5
 
@@ -448,10 +461,10 @@ class PrefilterSection(Section):
 
     method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
     align_index: Switch = False
-    harmonics: Count | Literal["auto"] = 10
-    bins: Annotated[int, Exact(), Ge(4)] = 100
+    harmonics: Repeats | Literal["auto"] = 10
+    bins: Annotated[int, Exact(), Ge(4), Le(100_000)] = 100
     spikes: Switch = True
-    median: Count = 1
+    median: Repeats = 1
     remove_mean: Switch = True
     slow_roll: Names | None = None
 
@@ -541,7 +554,7 @@ class DrawnPlantsSection(Section):
     """
 
     plants: Literal["draws", "recordings"] = "draws"
-    draws: Count = 10
+    draws: Annotated[Count, Le(10_000)] = 10
     seed: CountOrZero = 0
 
 
@@ -557,8 +570,8 @@ class RobustSection(Section):
 
     probability: Probability = 0.95
     confidence: Annotated[float, Exact(finite=True), Gt(0), Lt(1)] = 0.95
-    draws: Annotated[int, Exact(), Ge(10)] = 200
-    fresh: Annotated[int, Exact(), Ge(10)] = 500
+    draws: Annotated[int, Exact(), Ge(10), Le(100_000)] = 200
+    fresh: Annotated[int, Exact(), Ge(10), Le(100_000)] = 500
     seed: CountOrZero = 0
     price: tuple[Probability, ...] = ()
 
@@ -594,7 +607,7 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
 
     structure: Text = "P"
     lowpass_hz: Positive | None = None
-    order: CountOrZero | None = None
+    order: Annotated[CountOrZero, Le(20)] | None = None
     tune_corner: Switch | None = None
     options: dict[Text, _Option] = Field(default_factory=dict)
     schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None

@@ -30,6 +30,7 @@ from gbid.experiment.stages.loop import cost_tables, made_costs
 from gbid.report.explorer import explorer_part
 from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
 from gbid.report.loop_pictures import (
+    DampingMap,
     damping_map_data,
     designs_pareto_data,
     plot_cycle,
@@ -53,7 +54,7 @@ _SHOWN_S = 0.1
 
 def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     """Return pictures of a design at its worst operating point, and of its damping over the operating range."""
-    worst, point = design.figures.worst["damping"]
+    worst, point = design.figures.worst["sampled_damping"]
     row = int(np.flatnonzero((design.figures.points == point).all(axis=1))[0])
     place, plant, controller = point_label(*point), design.plant.plant_at(*point), design.at(point)
     title = f"{design.name}, {place}"
@@ -64,7 +65,10 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     data = sensitivity_data(plant, controller, frequency)
     peak, control = (design.figures.at(row)[name] for name in ("peak_output", "peak_control"))
     alt = f"Sensitivities of {title}: peak of S_o {peak:.2f}, of K S_o {control:.2f}"
-    words = f"at its worst operating point, {place}: smallest damping factor {worst:.3f}"
+    words = (
+        f"at its worst operating point, {place}: smallest damping factor {worst:.3f} {_sampled_words(design)}; root "
+        "locus, sensitivities and impacts are those of the continuous loop"
+    )
     shown: list[Block] = [
         Shown(pictures.picture(plot_root_locus(locus), f"Root locus over a factor on the gains of {title}")),
         _damping_map(pictures, design),
@@ -84,10 +88,27 @@ def _shown_frequencies(plant: LinearModel, sample_time: float) -> FloatArray:
     return np.geomspace(min(min(modes) / 30, highest / 10), min(10 * max(modes), highest), 300)
 
 
+def design_damping_map(design: AssessedDesign) -> DampingMap:
+    """Return the smallest damping factor of the sampled loop of a design over pressure and speed."""
+    return damping_map_data(
+        design.plant,
+        design.at,
+        n=_GRID,
+        points=design.figures.points,
+        title=f"{design.name}, {_sampled_words(design)}",
+        sample_time=design.sample_time,
+        method=design.method,
+    )
+
+
+def _sampled_words(design: AssessedDesign) -> str:
+    return f"sampled at {1e3 * design.sample_time:g} ms"
+
+
 def _damping_map(pictures: Pictures, design: AssessedDesign) -> Block:
-    data = damping_map_data(design.plant, design.at, n=_GRID, points=design.figures.points, title=design.name)
+    data = design_damping_map(design)
     alt = (
-        f"Smallest damping factor of {design.name} over pressure and speed, from {data.damping.min():.3f} to "
+        f"Smallest damping factor over pressure and speed, {data.title}, from {data.damping.min():.3f} to "
         f"{data.damping.max():.3f}; operating points marked"
     )
     return Shown(pictures.picture(plot_damping_map(data), alt))

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from gbid.control.assessment import DesignFigures, TunedDesign, assessed_alike
-from gbid.control.loop.close import close_loop, smallest_damping
+from gbid.control.loop.close import Method, close_loop, sample_controller, sample_plant, smallest_damping
+from gbid.control.loop.sampled import exact_plant
 from gbid.control.loop.sensitivity import SensitivityData
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
@@ -69,6 +70,8 @@ def damping_map_data(
     n: int = 21,
     points: npt.ArrayLike | None = None,
     title: str = "",
+    sample_time: float | None = None,
+    method: Method = "tustin",
 ) -> DampingMap:
     """Return the smallest damping factor of the modes over the domain of a model.
 
@@ -84,6 +87,11 @@ def damping_map_data(
         Operating points with a mark; those of the model when left out.
     title : str
         Title of the figure.
+    sample_time : float, optional
+        Sample time of the controller [s]: the damping is that of the sampled loop with exact delays and one sample for
+        computation (`gbid.control.sampled_loop`). Without it, it is that of the continuous loop.
+    method : {"tustin", "zoh"}
+        Discretisation of the controller.
 
     Returns
     -------
@@ -94,8 +102,12 @@ def damping_map_data(
     damping = np.empty((n, n))
     for i, bar in enumerate(map(float, pressure)):
         for j, rpm in enumerate(map(float, speed)):
-            plant = model.plant_at(bar, rpm)
             here = controller((bar, rpm)) if callable(controller) else controller
+            if here is None or sample_time is None:
+                plant = model.plant_at(bar, rpm)
+            else:
+                plant = sample_plant(exact_plant(model, bar, rpm), sample_time, sample_time)
+                here = sample_controller(here, sample_time, method)
             damping[i, j] = smallest_damping(plant if here is None else close_loop(plant, here))
     marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
     return DampingMap(pressure, speed, damping, marked, title)

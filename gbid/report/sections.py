@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from operator import attrgetter
@@ -18,6 +18,7 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.figures import Figure, Pictured
 from gbid.core.hdf5 import read_made_with
 from gbid.core.index import known
+from gbid.core.notes import explanations
 from gbid.core.tables import Cell, Column, Entry, Row, Table, Value, in_unit, shown_unit, titled, value_of
 from gbid.experiment.experiment import Experiment, fit_models, recordings_of
 from gbid.experiment.recordings import load_made
@@ -25,12 +26,12 @@ from gbid.experiment.run import Outcome
 from gbid.experiment.stages.crossval import pair_table, validate_pair
 from gbid.experiment.stages.fit import load_made_fit, response_of
 from gbid.identify.fit_tables import fit_tables
+from gbid.lpv import LPVModel
 from gbid.lpv.fit import LACK
 from gbid.prefilter.filtering import correction_table
 from gbid.recording.clock import MAX_JITTER
 from gbid.report.campaign_tables import conditions_text, origin_table
-from gbid.report.control_sections import held_back
-from gbid.report.loop_pictures import damping_map_data
+from gbid.report.control_sections import design_damping_map, held_back
 from gbid.report.model_pictures import plot_bode
 from gbid.report.page import (
     Block,
@@ -49,7 +50,15 @@ from gbid.report.page import (
 )
 from gbid.report.pictures import drawn
 from gbid.report.read import MadeFit, Results, StageResults
-from gbid.report.views import converged_words, design_lines, mode_rows, note_rows, outcome_words
+from gbid.report.views import (
+    converged_words,
+    design_lines,
+    mode_rows,
+    note_rows,
+    notes_by_kind,
+    outcome_words,
+    points_of,
+)
 from gbid.validate import Validation
 
 _NAMED = 5
@@ -522,6 +531,17 @@ def warnings(results: Results) -> list[Link]:
             links.append(Link(f"no nominal actuator: {error}", "#actuator"))
     if results.experiment.spec.lpv is not None:
         add_if(not results.surfaces, "no surfaces were drawn with the present fits", "#surfaces")
+    add_if(results.fits and not results.experiment.spec.crossval, "no fit was validated on other recordings", "#fits")
+    noted: dict[str, Iterable[Row]] = {
+        "#fits": (q.document for q in results.fits),
+        "#surfaces": (fit.document() for fit in results.surfaces.values()),
+        "#controller": (design.document() for design in results.designs.made.values()),
+    }
+    for href, documents in noted.items():
+        for code, texts in notes_by_kind(documents).items():
+            told = explanations().get(code)
+            if told and told.warns:
+                links.append(Link(f"{told.title} [{code}{f', {len(texts)} times' if len(texts) > 1 else ''}]", href))
     for item, fit in results.surfaces.items():
         lack = (fit.lack_of_fit < LACK).any()
         add_if(lack, f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces")
@@ -544,12 +564,15 @@ def _fits(n: int) -> str:
 
 
 def lead_figure(results: Results) -> Figure | None:
-    """Return the figure at the top of the page: of a design, else surfaces, else the best fit, else a recording."""
-    if results.assessed and results.experiment.spec.controller:
-        design = results.assessed[0]
-        words = f"Smallest damping factor of {design.name} over pressure and speed"
-        return Figure("plot_damping_map", words, (damping_map_data(design.plant, design.at, n=11, title=design.name),))
-    for item, fit in results.surfaces.items():
+    """Return the figure at the top of the page: of a design, else surfaces, else the best fit, else a recording.
+
+    A model of a single operating point has no picture over pressure and speed.
+    """
+    designs = results.assessed if results.experiment.spec.controller else ()
+    for design in [design for design in designs if _has_range(design.plant)][:1]:
+        data = design_damping_map(design)
+        return Figure("plot_damping_map", f"Smallest damping factor over pressure and speed, {data.title}", (data,))
+    for item, fit in [(item, fit) for item, fit in results.surfaces.items() if _has_range(fit.model)][:1]:
         return fit.figures()[0]._replace(words=f"{item}: {fit.figures()[0].words}")
     first = next((q.fit for q in results.fits), "")
     best = max((q for q in results.fits if q.fit == first), key=attrgetter("smallest"), default=None)
@@ -563,6 +586,10 @@ def lead_figure(results: Results) -> Figure | None:
     for signals in results.recordings:
         return load_made(results.job, results.experiment.recordings[signals.name]).figures()[0]
     return None
+
+
+def _has_range(model: LPVModel) -> bool:
+    return bool(np.ptp(model.domain.pressure_bar) or np.ptp(model.domain.speed_rpm))
 
 
 def _lead(results: Results, pictures: Pictures) -> list[Block]:
@@ -580,7 +607,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
     if links:
         blocks += [Words(f"{len(links)} {'thing' if len(links) == 1 else 'things'} to look at:", "warn"), Listed(links)]
     else:
-        blocks.append(Words("Nothing to warn of.", "good"))
+        blocks.append(Words("No warnings.", "good"))
     document = {
         "fits": [{"fit": q.fit, "model": q.model, **q.document} for q in results.fits],
         "crossval_summary": [{"fit": name, **asdict(made)} for name, (_, made) in results.crossval.items()],
@@ -591,12 +618,11 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
     lines += [line for design in document["tuning"] for line in design_lines(design)]
     blocks.append(Listed([converged_words(document["fits"]), *lines] if results.fits else lines))
     blocks = [Gallery([*_lead(results, pictures), Gallery(blocks)])]
-    if modes := mode_rows(document["fits"]):
-        ranges = any(span for *_, span in modes)
-        heads = ("fit", "frequency [Hz]", "damping", *(["range of the frequency [Hz]"] if ranges else []))
-        blocks.append(
-            Table("Modes with 95 % intervals", [Column(head) for head in heads], [row[: len(heads)] for row in modes])
-        )
+    if modes := mode_rows(document["fits"], points_of(results.experiment)):
+        columns = [Column(head) for head in ("fit", "operating point", "mode", "models", "frequency [Hz]", "damping")]
+        title = "Modes: means over the models, with the 95 % interval of one model"
+        table = Table(title, columns, [(q.fit, q.point, q.number, q.models, *q.words()) for q in modes])
+        blocks.append(_folded(f"Modes, {len(modes)} rows", table))
     if notes := note_rows(document):
         blocks.append(Fold(f"Notes ({len(notes)})", [Listed([begin + text for begin, text in notes])]))
     counts: dict[str, Counter[str]] = {}

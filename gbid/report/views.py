@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from math import floor, isfinite, log10
+from math import floor, isfinite, log10, nan
 from pathlib import Path
 from textwrap import shorten, wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from gbid.control.assessment import assessment_tables, design_tables, gains_word
 from gbid.core.hdf5 import load
 from gbid.core.tables import Column, Row, Table, titled
 from gbid.experiment.controllers import load_design
+from gbid.experiment.experiment import NO_POINT, Experiment
 from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
 from gbid.experiment.stages.crossval import crossval_rows, nominal_of, pair_table, read_crossval
@@ -250,18 +251,21 @@ VIEWS: Mapping[str, View] = {
 # ---- Summary: what an engineer looks for first, in few lines of the width of a terminal.
 
 
-def summary_lines(document: Document) -> list[str]:
+def summary_lines(document: Document, points: Mapping[str, str]) -> list[str]:
     """Return modes, fit on other recordings, surfaces, designs and notes of a run, at most 23 lines of 80 columns.
 
     Parameters
     ----------
     document : dict
         Has ``fits``, ``crossval_summary``, ``lpv`` and ``tuning`` as the JSON of ``gbid run``.
+    points : dict of str to str
+        Operating points of the recordings, as text.
     """
     fits, lines = document["fits"], []
     if fits:
         lines.append(f"{converged_words(fits)}; modes with 95 % intervals:")
-        lines += _few([_mode_line(*row) for row in mode_rows(fits)])
+        modes = mode_rows(fits, points)
+        lines += _few([mode.line() for mode in modes] if len(modes) <= _LINES else _mode_ranges(modes))
     lines += [line for begin, words in outcome_words(document) for line in _wrapped(begin, words)]
     lines += _few([line for design in document["tuning"] for line in design_lines(design)])
     notes = _few([shorten(f"  {begin}{text}", WIDTH - 2, placeholder=" ...") for begin, text in note_rows(document)])
@@ -271,6 +275,11 @@ def summary_lines(document: Document) -> list[str]:
     ]
 
 
+def points_of(experiment: Experiment) -> dict[str, str]:
+    """Return the operating points of the recordings of an experiment, as text; names of recordings without one."""
+    return {name: name if q.point == NO_POINT else q.point for name, q in experiment.recordings.items()}
+
+
 def fit_rows(table: identify.FitTable) -> list[Row]:
     """Return of each made fit of a campaign what `summary_lines` shows of its document; one file holds all of it."""
     modes = np.stack([getattr(table, f"mode_{key}") for key in _MODE_KEYS], axis=-1)
@@ -278,6 +287,7 @@ def fit_rows(table: identify.FitTable) -> list[Row]:
         {
             "fit": str(table.fit[i]),
             "model": str(table.model[i]),
+            "recordings": list(table.recordings[i]),
             "success": bool(table.success[i]),
             "modes": [dict(zip(_MODE_KEYS, mode, strict=True)) for mode in modes[i].tolist() if isfinite(mode[0])],
             "notes": table.notes[i],
@@ -310,26 +320,77 @@ def _wrapped(begin: str, words: Sequence[str]) -> list[str]:
     return wrap(begin + ", ".join(words), WIDTH, subsequent_indent="  ", max_lines=2) if words else []
 
 
-def mode_rows(fits: Sequence[Row]) -> list[tuple[str, str, str, str]]:
-    """Return name of the fit, frequency [Hz], damping and range [Hz] of each mode.
+class ModeRow(NamedTuple):
+    """Mode of the fits of one structure at one operating point, over its converged models.
 
-    They are those of the first model of a fit that converged; the range is that of the frequency over its other models.
+    Attributes
+    ----------
+    fit, point : str
+        Name of the fit, and the operating point as text.
+    number, models : int
+        Number of the mode in rising order of frequency, and number of models.
+    frequency_hz, frequency_std_hz, damping, damping_std : float
+        Means over the models, and standard deviations of one model: the larger one of that stated and the scatter.
     """
+
+    fit: str
+    point: str
+    number: int
+    models: int
+    frequency_hz: float
+    frequency_std_hz: float
+    damping: float
+    damping_std: float
+
+    def words(self) -> tuple[str, str]:
+        """Return frequency and damping factor with the 95 % interval of one model."""
+        return _interval(self.frequency_hz, self.frequency_std_hz), _interval(self.damping, self.damping_std)
+
+    def line(self) -> str:
+        """Return the line of a terminal."""
+        frequency, damping = self.words()
+        models = f" (mean of {self.models})" if self.models > 1 else ""
+        return f"  {self.fit} {self.point}{models}: {frequency} Hz, damping {damping}"
+
+
+def mode_rows(fits: Sequence[Row], points: Mapping[str, str]) -> list[ModeRow]:
+    """Return the modes of the fits that converged, by fit and operating point.
+
+    Parameters
+    ----------
+    fits : sequence of dict
+        Documents of fits.
+    points : dict of str to str
+        Operating points of the recordings, as text.
+    """
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for fit in fits:
+        if fit["success"] and fit["modes"]:
+            where = dict.fromkeys(points.get(name, name) for name in fit["recordings"])
+            groups.setdefault((fit["fit"], next(iter(where)) if len(where) == 1 else "all points"), []).append(fit)
     rows = []
-    for name in dict.fromkeys(fit["fit"] for fit in fits):
-        models = [fit for fit in fits if fit["fit"] == name and fit["success"] and fit["modes"]]
-        for i, mode in enumerate(models[0]["modes"]) if models else ():
-            others = [model["modes"][i]["frequency_hz"] for model in models if i < len(model["modes"])]
-            span = f"{len(others)} models: {min(others):.7g} to {max(others):.7g}" if len(others) > 1 else ""
-            frequency = _interval(mode["frequency_hz"], mode["frequency_std_hz"])
-            rows.append((name, frequency, _interval(mode["damping"], mode["damping_std"]), span))
+    for (name, point), models in groups.items():
+        for i in range(max(len(model["modes"]) for model in models)):
+            modes = [model["modes"][i] for model in models if i < len(model["modes"])]
+            numbers = np.array([[nan if mode[key] is None else mode[key] for key in _MODE_KEYS] for mode in modes])
+            stated = np.sqrt(np.mean(numbers[:, 1::2] ** 2, axis=0))
+            scatter = numbers[:, ::2].std(axis=0, ddof=1) if len(modes) > 1 else 0.0
+            mean, std = numbers[:, ::2].mean(axis=0), np.fmax(stated, scatter)
+            rows.append(ModeRow(name, point, i + 1, len(modes), *np.column_stack([mean, std]).ravel().tolist()))
     return rows
 
 
-def _mode_line(name: str, frequency: str, damping: str, span: str) -> str:
-    line = f"  {name}: {frequency} Hz, damping {damping}"
-    whole = f"{line} ({span} Hz)" if span else line
-    return whole if len(whole) <= WIDTH else line
+def _mode_ranges(modes: Sequence[ModeRow]) -> list[str]:
+    """Return a line for each mode of each fit with its range over the operating points."""
+    lines = []
+    for name, number in dict.fromkeys((mode.fit, mode.number) for mode in modes):
+        group = [mode for mode in modes if (mode.fit, mode.number) == (name, number)]
+        frequency, damping = ([getattr(mode, key) for mode in group] for key in ("frequency_hz", "damping"))
+        lines.append(
+            f"  {name} mode {number}: {min(frequency):.4g} to {max(frequency):.4g} Hz, damping {min(damping):.3g} to "
+            f"{max(damping):.3g} at {len(group)} points"
+        )
+    return lines
 
 
 def _interval(value: float, std: float | None) -> str:
@@ -355,15 +416,19 @@ def design_lines(design: Row) -> list[str]:
 _CODE = re.compile(r" ?\[(GB\d+)\]")
 
 
-def note_rows(document: Document) -> list[tuple[str, str]]:
-    """Return each note once, by its code: code and number of results that have it, and the text of the first."""
-    rows = [*document["fits"], *document["lpv"], *document["tuning"]]
+def notes_by_kind(rows: Iterable[Row]) -> dict[str, list[str]]:
+    """Return the notes of results by their code; those without a code by the words before the first colon."""
     notes: dict[str, list[str]] = {}
     for text in (text for row in rows for text in row["notes"]):
         match = _CODE.search(text)
         notes.setdefault(match[1] if match else text.partition(":")[0], []).append(text)
+    return notes
+
+
+def note_rows(document: Document) -> list[tuple[str, str]]:
+    """Return each note once, by its code: code and number of results that have it, and the text of the first."""
     lines = []
-    for code, texts in notes.items():
+    for code, texts in notes_by_kind([*document["fits"], *document["lpv"], *document["tuning"]]).items():
         times = f" ({len(texts)} times)" if len(texts) > 1 else ""
         begin = f"{code}{times}: " if _CODE.search(texts[0]) else f"{len(texts)} times: " if times else ""
         lines.append((begin, _CODE.sub("", texts[0])))

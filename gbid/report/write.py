@@ -17,7 +17,7 @@ from gbid.report.control_sections import (
     loops_section,
 )
 from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, render
-from gbid.report.pictures import plot
+from gbid.report.pictures import drawn, plot
 from gbid.report.read import REPORT, Results, made_keys, report_key
 from gbid.report.sections import (
     Kept,
@@ -149,19 +149,17 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
     reasons = [item for stage in lacking for item in stage.missing.items()]
     stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
     pictures = Pictures("late")
-    drawn: list[PageSection | None] = drawn_once(
+    sections: list[PageSection | None] = drawn_once(
         kept, "late", stand, lambda: [section(results, pictures) for section in _LATE]
     )
-    return drawn
+    return sections
 
 
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:
     """Return models side by side as an HTML page: their table, frequency responses, and what chose an order."""
-    pictures, names = Pictures(), ", ".join(comparison.models)
-    blocks: list[Block] = [
-        comparison.table(),
-        Shown(pictures.picture(plot(comparison), f"Frequency responses of {names}")),
-    ]
+    pictures = Pictures()
+    shown = [Shown(pictures.picture(drawn(figure), figure.words)) for figure in comparison.figures()]
+    blocks: list[Block] = [comparison.table(), *shown]
     if orders is not None:
         words = f"Singular values, and errors on samples that were not used, by order; chosen: {orders.order}"
         blocks += [Shown(pictures.picture(plot(orders), words)), Fold("Orders of the subspace model", [orders.table()])]

@@ -33,7 +33,7 @@ class ModelComparison(Tabled, Pictured):
     models : dict of str to LinearModel or FitResult
         The models.
     recordings, outputs : tuple of str
-        Names of the recordings and of the output channels.
+        Names of the recordings and of the output channels that all models have.
     orders : (n_models,) integer array
         Numbers of states.
     parameters : (n_models,) integer array
@@ -67,8 +67,12 @@ class ModelComparison(Tabled, Pictured):
         return brief(self, f"{len(self.models)} models on {', '.join(self.recordings)}", models=each)
 
     def figures(self) -> list[Figure]:
-        """Return the frequency responses of the models."""
-        return [Figure("plot_bode", f"Frequency responses of {', '.join(self.models)}", (self.models,))]
+        """Return the frequency responses of the models, one figure for those with the same channels."""
+        groups: dict[tuple[tuple[str, ...], ...], dict[str, LinearModel | FitResult]] = {}
+        for name, model in self.models.items():
+            linear = model.linear_model if isinstance(model, FitResult) else model
+            groups.setdefault((linear.input_names, linear.output_names), {})[name] = model
+        return [Figure("plot_bode", f"Frequency responses of {', '.join(q)}", (q,)) for q in groups.values()]
 
     def table(self) -> Table:
         """Return a row for each model and output, with the smallest fit percent of the recordings."""
@@ -99,7 +103,7 @@ def compare(
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
 ) -> ModelComparison:
-    """Return models beside each other on the same recordings.
+    """Return models beside each other on the same recordings, over the outputs that all of them have.
 
     Parameters
     ----------
@@ -108,8 +112,8 @@ def compare(
     recordings : Recording or sequence of Recording
         Recordings, best such that no model was estimated from.
     inputs, outputs : str or sequence of str, optional
-        Signals (``"p"``) or channels (``"p.x"``); by default those of the first fit, else the channels that the first
-        model names.
+        Signals (``"p"``) or channels (``"p.x"``) of all models. By default each fit has its own, and each plain model
+        the channels that it names, or those of the first fit.
 
     Returns
     -------
@@ -119,7 +123,7 @@ def compare(
     Raises
     ------
     UsageError
-        When there is no model, a model is scheduled, or no signals are known.
+        When there is no model, a model is scheduled, no signals are known, or the models have no output in common.
     DataError
         When a recording lacks a signal, or a model is unstable and cannot be simulated over a recording.
     """
@@ -127,43 +131,58 @@ def compare(
     named = _named(models)
     if not named or not several:
         raise UsageError("compare needs at least one model and one recording")
-    signals = [
-        as_names(given) if given is not None else _signals(list(named.values()), kind, several[0])
-        for kind, given in (("inputs", inputs), ("outputs", outputs))
-    ]
-    data = [(select(each, signals[0])[0], select(each, signals[1])[0]) for each in several]
-    labels = tuple(select(several[0], signals[1])[1])
-    n_y, n = len(labels), sum(len(y) for _, y in data)
+    own = {
+        name: [
+            as_names(given) if given is not None else _signals(model, list(named.values()), kind, several[0])
+            for kind, given in (("inputs", inputs), ("outputs", outputs))
+        ]
+        for name, model in named.items()
+    }
+    labels_of = {name: select(several[0], signals[1])[1] for name, signals in own.items()}
+    shared = tuple(label for label in next(iter(labels_of.values())) if all(label in q for q in labels_of.values()))
+    if not shared:
+        each = "; ".join(f"{name!r} has {', '.join(labels)}" for name, labels in labels_of.items())
+        raise UsageError(f"the models have no output in common: {each}")
+    n_y, n = len(shared), sum(each.n_samples for each in several)
     percent = np.zeros((len(named), len(several), n_y))
     aic, white, orders, counts = np.zeros(len(named)), np.zeros((len(named), n_y)), [], []
     for i, (name, model) in enumerate(named.items()):
-        errors = []
+        columns = [labels_of[name].index(label) for label in shared]
         linear = model.linear_model if isinstance(model, FitResult) else model
-        for k, (recording, (u, y)) in enumerate(zip(several, data, strict=True)):
-            if isinstance(model, FitResult):
-                refuse_scheduled(model)
-                runner = at_clock_of(simulator(model), recording.sample_time)
-            else:
-                runner = simulator_of(model, recording.sample_time)
-                u, y = u - u.mean(axis=0), y - y.mean(axis=0)
-            shape = linear.D.shape
-            if shape != (n_y, u.shape[1]):
-                raise UsageError(
-                    f"model {name!r} has {shape[0]} outputs and {shape[1]} inputs, the signals {', '.join(signals[0])} "
-                    f"and {', '.join(signals[1])} have {n_y} and {u.shape[1]}"
-                )
-            residuals = runner.explain(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T)).residuals.T
-            if not np.isfinite(residuals).all():
-                raise DataError(f"model {name!r} overflows when it is simulated on {recording.name!r}: it is unstable")
-            percent[i, k] = fit_percent(y, y - residuals)
-            errors.append(residuals)
+        errors = []
+        for k, recording in enumerate(several):
+            y, residuals = _simulated(name, model, recording, own[name])
+            percent[i, k] = fit_percent(y, y - residuals)[columns]
+            errors.append(residuals[:, columns])
         orders.append(linear.n_states)
         counts.append(len(model.free) if isinstance(model, FitResult) else _freedom(linear))
         white[i] = whiteness_test(errors).p_value
         products = np.asarray(sum(e.T @ e for e in errors)) / n
         aic[i] = n * (np.linalg.slogdet(products)[1] + n_y * (1 + np.log(2 * np.pi))) + 2 * counts[-1]
     names = tuple(each.name for each in several)
-    return ModelComparison(named, names, labels, np.array(orders), np.array(counts), percent, aic, white)
+    return ModelComparison(named, names, shared, np.array(orders), np.array(counts), percent, aic, white)
+
+
+def _simulated(
+    name: str, model: LinearModel | FitResult, recording: Recording, signals: Sequence[Sequence[str]]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the outputs of a recording and the errors of a model that is simulated on it, both (n_samples, n_y)."""
+    u, y = (select(recording, each)[0] for each in signals)
+    if isinstance(model, FitResult):
+        refuse_scheduled(model)
+        linear, runner = model.linear_model, at_clock_of(simulator(model), recording.sample_time)
+    else:
+        linear, runner = model, simulator_of(model, recording.sample_time)
+        u, y = u - u.mean(axis=0), y - y.mean(axis=0)
+    if linear.D.shape != (y.shape[1], u.shape[1]):
+        raise UsageError(
+            f"model {name!r} has {linear.D.shape[0]} outputs and {linear.D.shape[1]} inputs, the signals "
+            f"{', '.join(signals[0])} and {', '.join(signals[1])} have {y.shape[1]} and {u.shape[1]}"
+        )
+    residuals = runner.explain(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T)).residuals.T
+    if not np.isfinite(residuals).all():
+        raise DataError(f"model {name!r} overflows when it is simulated on {recording.name!r}: it is unstable")
+    return y, residuals
 
 
 def _named(models: Models) -> dict[str, LinearModel | FitResult]:
@@ -178,18 +197,22 @@ def _named(models: Models) -> dict[str, LinearModel | FitResult]:
     }
 
 
-def _signals(models: Sequence[LinearModel | FitResult], kind: str, recording: Recording) -> tuple[str, ...]:
-    """Return the signals of the first fit, or the channels of a recording that the first model names."""
-    for each in models:
-        if isinstance(each, FitResult):
-            return tuple(getattr(each.options, kind))
-    wanted = getattr(models[0], "input_names" if kind == "inputs" else "output_names")
+def _signals(
+    model: LinearModel | FitResult, models: Sequence[LinearModel | FitResult], kind: str, recording: Recording
+) -> tuple[str, ...]:
+    """Return the signals of a fit; of a plain model the channels that it names, else the signals of the first fit."""
+    if isinstance(model, FitResult):
+        return tuple(getattr(model.options, kind))
+    wanted = getattr(model, "input_names" if kind == "inputs" else "output_names")
     channels = {label: name for name in recording.signals for label, name in _labels(recording, name)}
-    if missing := [label for label in wanted if label not in channels]:
-        raise UsageError(
-            f"recording {recording.name!r} has no channels {', '.join(missing)}, which the model names; give {kind}=..."
-        )
-    return tuple(channels[label] for label in wanted)
+    missing = [label for label in wanted if label not in channels]
+    if not missing:
+        return tuple(channels[label] for label in wanted)
+    if fit := next((each for each in models if isinstance(each, FitResult)), None):
+        return tuple(getattr(fit.options, kind))
+    raise UsageError(
+        f"recording {recording.name!r} has no channels {', '.join(missing)}, which the model names; give {kind}=..."
+    )
 
 
 def _labels(recording: Recording, signal: str) -> list[tuple[str, str]]:

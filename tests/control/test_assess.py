@@ -80,7 +80,7 @@ def test_designs_side_by_side(paper: object) -> None:
     weaker = gbid.assess(MACHINE, "P", {"kappa_x": 0.5, "kappa_y": 0.5}, name="half as much")
     table = gbid.compare_designs([paper, weaker])  # type: ignore[list-item]
     assert [row[0] for row in table.rows] == ["paper", "half as much"]
-    assert table.columns[:4] == ("design", "smallest damping", "peak S_o", "peak K S_o")
+    assert table.columns[:4] == ("design", "continuous damping", "peak S_o", "peak K S_o")
     assert table.rows[0][1:3] == ("0.279", "2.621")
     lines = str(table).splitlines()
     assert len(lines) == 3

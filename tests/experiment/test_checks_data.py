@@ -178,3 +178,34 @@ def test_residuals_once_for_each_model(tmp_path, capsys):
         ("run2", "run1", False),
         ("run2", "run2", True),
     ]
+
+
+RIG = """
+format: 1
+name: rig
+rig:
+  duration_s: 1.6
+  operating_points: [{pressure_bar: 5.0, speed_rpm: 6000}]
+  prbs: {recordings: 1}
+prefilter: {harmonics: 10}
+fits: {bearing: {structure: rotor_bearing}, piezos: {structure: piezo_pair}}
+nominal: {fit: piezos}
+lpv: {fit: bearing, order: 0, actuators: nominal}
+controller: {loop: {structure: P, sample_time_s: 2.0e-4}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("value", "words", "code"),
+    [
+        ("rig.prbs.recordings=1000000000", "rig.prbs.recordings: must be at most 1000, found 1000000000", 2),
+        ("rig.duration_s=1.0e+9", "rig.duration_s: must be at most 36000", 2),
+        ("rig.prbs.hold_s=20", "prbs.hold_s: 20 s, so a PRBS never switches within the 1.6 s", 2),
+        ("prefilter.harmonics=600", "harmonics = 600, but at 6000 rpm samples of 0.0002 s show at most 24", 3),
+        ("controller.loop.sample_time_s=0.2", "sample_time_s = 0.2 s, but the machine has a mode at 131.5 Hz", 3),
+    ],
+)
+def test_values_without_sense_are_refused_with_the_reason(value, words, code, tmp_path, capsys):
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG, encoding="utf-8")
+    assert words in " ".join(printed_by(capsys, "check", path, "--set", value, code=code).err.split())

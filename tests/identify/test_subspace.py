@@ -103,6 +103,19 @@ def test_what_chooses_the_order_is_shown():
     assert len(left.lines[0].get_xdata()) == len(orders.errors) == len(orders.table().rows)
 
 
+def test_models_are_compared_over_the_outputs_that_they_share():
+    both = recording(2, 0)
+    both = gbid.Recording({**both.signals, "z": -2 * both.signal("y")}, h, name="both")
+    wide, narrow = gbid.subspace(both, 4, outputs=("z", "y")), gbid.subspace(both, 4, outputs="y")
+    comparison = gbid.compare({"wide": wide, "narrow": narrow}, both)
+    assert comparison.outputs == ("y",)
+    alone = gbid.compare({"narrow": narrow}, both)
+    np.testing.assert_array_equal(comparison.fit_percent[1], alone.fit_percent[0])
+    assert [list(figure.values[0]) for figure in comparison.figures()] == [["wide"], ["narrow"]]
+    with pytest.raises(UsageError, match="no output in common: 'wide' has y; 'narrow' has z"):
+        gbid.compare({"wide": narrow, "narrow": gbid.subspace(both, 4, outputs="z")}, both)
+
+
 def test_models_are_compared_from_the_command_line(tmp_path, capsys):
     paths = [tmp_path / f"run{seed}.h5" for seed in (0, 1)]
     for seed, path in enumerate(paths):

@@ -71,7 +71,7 @@ def test_the_conditions_are_those_of_the_experiment(document, expected):
     assert {key: document[key] for key in CONDITIONS} == CONDITIONS
     assert document["impact"] == {"peak_n": 5.0, "duration_s": 1e-3, "mass_kg": 2.18}
     assert [len(design["points"]) for design in document["performance"]] == [2, 2]
-    assert float(expected["sampled damping"][0]) < 0 < float(expected["smallest damping"][0])
+    assert float(expected["sampled damping"][0]) < 0 < float(expected["continuous damping"][0])
 
 
 def test_terminal(made, expected, capsys):

@@ -242,6 +242,8 @@ def test_curves_of_the_worst_and_the_best_fit_are_in_the_page_and_the_others_bes
 def test_warnings_name_what_fell_short(page):
     glance = page[page.index('id="summary"') : page.index('id="data"')]
     assert re.search(r"piezos: \d+ validations below the minimum asked for", glance)
+    assert "the residuals are not white [GB106" in glance
+    assert "start values come from the data" not in glance  # a note that does not question the result
     assert "no controller was designed" in page[page.index('id="left-out"') :]
 
 
