@@ -85,7 +85,7 @@ def test_run_prints_data_on_stdout_and_progress_on_stderr(spring, capsys):
     shown = captured.out.splitlines()
     assert len(shown) <= 24
     assert all(len(line) <= 80 for line in shown if not line.startswith(("results: ", "report: ")))
-    assert re.search(r"^  spring: (39\.9|40\.0)\d* ± 0\.\d+ Hz, damping 0\.\d+ ± ", captured.out, re.MULTILINE)
+    assert re.search(r"^  spring run1: (39\.9|40\.0)\d* ± 0\.\d+ Hz, damping 0\.\d+ ± ", captured.out, re.MULTILINE)
     assert re.search(r"worst output \[%\]: spring 99\.", captured.out)
     captured = printed_by(capsys, "run", spring, "-v")
     for word in ("spring, run1", "k ", "frequency", "[Hz]", "cross-validation", "99.", "results: "):
