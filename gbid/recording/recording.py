@@ -1,4 +1,4 @@
-"""Recording: the sampled signals of one experiment, from data frames, in HDF5, with an unbalance signal."""
+"""Recording: the sampled signals of one experiment, from data frames and xarray, in HDF5, with an unbalance signal."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import data_frame
+from gbid.core.extras import data_frame, extra_package
 from gbid.core.figures import Pictured
 from gbid.core.option_types import Own, check_options
-from gbid.core.units import SIGNALS
+from gbid.core.units import SIGNALS, conversion_factor
 from gbid.recording.clock import MAX_JITTER
 from gbid.recording.columns import seconds
 
@@ -108,6 +108,20 @@ def _even_step(times: npt.NDArray[Any]) -> float:
             f"{median:g} s; give sample_time, or keep these times: Recording(signals, stamps=times)"
         )
     return float(f"{steps.mean():.12g}")  # as an import rounds it
+
+
+def _xarray_times(dataset: Any, time: str) -> tuple[FloatArray | None, float | None]:
+    """Return the irregular times and the sample time of a dataset of xarray [s]; one of them is None."""
+    if time not in dataset.coords:
+        raise UsageError(f"the dataset has no times: no coordinate {time!r}; give sample_time, or its name: time=")
+    axis = dataset.coords[time]
+    times, unit = np.asarray(axis.values), str(axis.attrs.get("units", "s"))
+    if times.dtype.kind in "fiu":
+        times = times * conversion_factor(unit, "s")
+    if axis.attrs.get("irregular"):
+        return times, None
+    stated = axis.attrs.get("sample_time")
+    return None, float(stated) if _is_finite(stated) else _even_step(times)
 
 
 _Range = slice  # within the class, `slice` is its method
@@ -336,6 +350,111 @@ class Recording(Brief, Pictured, hdf5.InFile):
         frame = data_frame({"time_s": self.time, **columns}, index="time_s", units=units)
         frame.attrs |= {"name": self.name, "conditions": dict(self.conditions)}
         return frame
+
+    @classmethod
+    def from_xarray(
+        cls,
+        dataset: Any,
+        signals: Sequence[str] | None = None,
+        *,
+        time: str = "time",
+        sample_time: float | None = None,
+        units: Mapping[str, str] | None = None,
+        conditions: Mapping[str, float] | None = None,
+        name: str | None = None,
+    ) -> Recording:
+        """Return a recording with variables of a dataset of xarray, whose values are in SI units.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            Variables over the time alone, (n_samples,), or over time and channels, (n_samples, n_channels).
+        signals : sequence of str, optional
+            Variables that become signals; by default all.
+        time : str
+            Dimension of the time, whose coordinate has seconds, the unit of its attribute ``units``, or dates.
+        sample_time : float, optional
+            Time between samples [s]; by default from the coordinate.
+        units : dict of str to str, optional
+            Units of signals whose variables have no attribute ``units``, or another one.
+        conditions : dict of str to float, optional
+            Constants of the experiment, beside the attributes of the dataset that are numbers. Those that are texts
+            become the provenance.
+        name : str, optional
+            Name of the recording; by default the attribute ``name``.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        DataError
+            When the times are not evenly spaced, or as for `Recording`.
+        UsageError
+            When the dataset has no such variable, a variable has other dimensions, or there are no times.
+        """
+        chosen = list(map(str, dataset.data_vars)) if signals is None else list(signals)
+        values, stated, channels = {}, dict[str, str](), dict[str, tuple[str, ...]]()
+        for key in chosen:
+            if key not in dataset.data_vars:
+                raise UsageError(
+                    f"the dataset has no variable {key!r}; it has {', '.join(map(str, dataset.data_vars))}"
+                )
+            variable = dataset[key]
+            if variable.dims[:1] != (time,) or variable.ndim > 2:
+                text = (
+                    f"variable {key!r} has the dimensions {variable.dims}, expected ({time!r},) or ({time!r}, channels)"
+                )
+                raise UsageError(f"{text}; transpose it, or name others in signals")
+            values[key], stated[key] = np.asarray(variable.values), str(variable.attrs.get("units", ""))
+            if variable.dims[1:] and variable.dims[1] in variable.coords:
+                channels[key] = tuple(map(str, variable.coords[variable.dims[1]].values))
+        known = {str(key): value for key, value in dataset.attrs.items()}
+        numbers = {key: float(value) for key, value in known.items() if _is_finite(value)}
+        texts = {key: value for key, value in known.items() if isinstance(value, str) and key != "name"}
+        stamps, step = (None, sample_time) if sample_time is not None else _xarray_times(dataset, time)
+        return cls(
+            values,
+            math.nan if step is None else step,
+            numbers | dict(conditions or {}),
+            name or str(known.get("name", "recording")),
+            stated | dict(units or {}),
+            channels,
+            texts,
+            stamps,
+        )
+
+    def to_xarray(self) -> Any:
+        """Return a dataset of xarray with a variable (time, channels) for each signal, which netCDF files can hold.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables have the attributes ``units`` and ``long_name``. Attributes of the dataset are the name, the
+            conditions (numbers) and the provenance (texts).
+
+        Raises
+        ------
+        UsageError
+            When xarray is not installed, or when a condition and a text of the provenance have one name.
+        """
+        xarray = extra_package("xarray", "xarray", "a dataset of xarray")
+        about: dict[str, Any] = {"name": self.name}
+        for key, value in (*self.conditions.items(), *self.provenance.items()):
+            if key in about:
+                raise UsageError(f"recording {self.name!r}: two attributes of the dataset are {key!r}; rename one")
+            about[key] = value
+        even = {"irregular": 1} if self.stamps is not None else {"sample_time": self.sample_time}
+        coords: dict[str, Any] = {"time": ("time", self.time, {"units": "s"} | even)}
+        variables = {}
+        for name, values in self.signals.items():
+            kind = SIGNALS.get(name)
+            long_name = kind.long_name if kind and kind.unit == self.units[name] else name
+            coords[f"{name}_channel"] = list(self.channels[name])
+            attributes = {"units": self.units[name], "long_name": long_name}
+            variables[name] = (("time", f"{name}_channel"), values, attributes)
+        return xarray.Dataset(variables, coords, about)
 
     def __len__(self) -> int:
         return self.n_samples

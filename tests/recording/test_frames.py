@@ -1,5 +1,7 @@
 """Recordings and data frames of pandas, arrays of one dimension, stretches, and pictures."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -51,6 +53,48 @@ def test_columns_by_name_and_times_of_every_kind():
     ):
         with pytest.raises(kind, match=reason):
             gbid.Recording.from_frame(*arguments)
+
+
+@pytest.mark.parametrize("stamps", [None, np.cumsum(np.linspace(1.0, 2.0, 600))])
+def test_there_and_back_by_xarray(rec, tmp_path, stamps):
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'gbid[xarray]'")
+    provenance = {"source_file": "a.csv"}
+    sent = replace(rec, provenance=provenance, stamps=stamps)
+    dataset = sent.to_xarray()
+    assert dataset["p"].dims == ("time", "p_channel")
+    assert dataset["p"].attrs["units"] == "m"
+    assert dataset.attrs == {"name": "run", "speed_rpm": 3.0} | provenance
+    dataset.to_netcdf(tmp_path / "a.nc", engine="scipy")
+    import xarray
+
+    for each in (dataset, xarray.load_dataset(tmp_path / "a.nc", engine="scipy", decode_times=False)):
+        back = gbid.Recording.from_xarray(each)
+        for key in ("sample_time", "name", "conditions", "units", "channels", "provenance"):
+            assert getattr(back, key) == getattr(sent, key)
+        np.testing.assert_array_equal(back.time, sent.time)
+        for name, values in sent.signals.items():
+            np.testing.assert_array_equal(back.signal(name, irregular=True), values)
+
+
+def test_datasets_of_others():
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed: pip install 'gbid[xarray]'")
+    t = np.datetime64("2026-11-22") + (2_000_000 * np.arange(50)).astype("m8[ns]")
+    variables = {"u": ("when", np.arange(50)), "map": (("x", "when"), np.zeros((3, 50)))}
+    dataset = xarray.Dataset(variables, {"when": t}, {"speed_rpm": np.int64(3), "station": "A", "box": [1, 2]})
+    rec = gbid.Recording.from_xarray(dataset, ["u"], time="when", units={"u": "V"}, conditions={"load": 1.0})
+    assert (rec.sample_time, rec.units["u"], rec.signal("u").shape) == (0.002, "V", (50, 1))
+    assert (rec.conditions, rec.provenance) == ({"speed_rpm": 3.0, "load": 1.0}, {"station": "A"})
+    late = dataset[["u"]].assign_coords(when=("when", 2.0 * np.arange(50), {"units": "ms"}))
+    assert gbid.Recording.from_xarray(late, time="when").sample_time == 0.002
+    for reason, given, arguments in (
+        (r"'map' has the dimensions \('x', 'when'\)", dataset, {}),
+        ("no variable 'w'; it has u, map", dataset, {"signals": ["w"]}),
+        ("no coordinate 'when'", dataset.drop_vars("when"), {"signals": ["u"]}),
+    ):
+        with pytest.raises(UsageError, match=reason):
+            gbid.Recording.from_xarray(given, time="when", **arguments)
+    with pytest.raises(DataError, match="not evenly spaced"):
+        gbid.Recording.from_xarray(dataset[["u"]].drop_isel(when=6), time="when")
 
 
 def test_one_dimension_is_one_channel():
