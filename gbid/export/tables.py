@@ -22,6 +22,7 @@ from gbid.lpv import LPVModel
 from gbid.lpv.model import TERMS
 from gbid.lpv.model_file import SI_UNITS, save_model
 from gbid.structure import KEY_PARAMETERS, LinearModel
+from gbid.structure.models import phase_in_degrees
 
 
 def save_csv(
@@ -37,7 +38,7 @@ def save_csv(
     of a `LinearModel` has its matrices, one entry per line with the names of its row and column. The table of a
     `FitResult` has its parameters with standard deviation and unit, and that of a `LPVModel` the coefficients of Eq.
     16. With `frequency_hz` the table has the frequency response of the model or fit: magnitude and phase [deg] of
-    each pair of channels.
+    each pair of channels, the phase without jumps as `bode` has it.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def _responses(model: LinearModel, frequency_hz: FloatArray) -> Table:
     response = model.frequency_response(frequency_hz)
     pairs = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
     names = [f"{model.output_names[i]}/{model.input_names[j]}" for i, j in pairs]
-    phase = np.rad2deg(np.unwrap(np.angle(response), axis=0))
+    phase = phase_in_degrees(model, frequency_hz)
     shown = [values for i, j in pairs for values in (abs(response[:, i, j]), phase[:, i, j])]
     heads = ("frequency_hz", *(f"{what} {name}" for name in names for what in ("magnitude", "phase_deg")))
     return plain_table(heads, np.column_stack([frequency_hz, *shown]).tolist())

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from scipy.optimize import linear_sum_assignment
 
 from gbid.control import ISO_LIMITS, Sensitivities
 from gbid.control.loop.sensitivity import SensitivityZones, sensitivity_zones
-from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray, one_of_each_pair, poles_of_samples
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive
@@ -52,6 +53,7 @@ from gbid.report.canvas import (
     symbol,
     unit_label,
 )
+from gbid.structure import LinearModel
 
 # ---- Logarithmic axis of frequencies with plain numbers.
 
@@ -334,6 +336,9 @@ class Campbell(Brief):
 def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
     """Return the natural frequencies of models over speed, for `plot_campbell`.
 
+    A mode keeps its column from speed to speed by its shape (from each input to each output) and its frequency, also
+    where it crosses another. The first columns rise in frequency at the lowest speed.
+
     Parameters
     ----------
     models : dict of float to LinearModel or FitResult
@@ -351,19 +356,61 @@ def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
     if not models:
         raise UsageError("no model to draw; give at least one by its speed in rpm")
     speeds = sorted(models)
-    rows = []
+    rows, paths, last, n = [], [], np.zeros((0, 2), complex), 0
+    shapes = np.zeros((0, 0), complex)
     for speed in speeds:
         poles_of_model = pole_zero(models[speed])
         keep = np.flatnonzero(one_of_each_pair(poles_of_model.poles))
         poles = poles_of_model.poles[keep]
+        order = np.argsort(np.abs(poles))
+        keep, poles = keep[order], poles[order]
+        own = _mode_shapes(as_uncertain(models[speed]).model, poles)
+        before = shapes if shapes.shape[1:] == own.shape[1:] else np.zeros((n, *own.shape[1:]), complex)
+        path = _followed(poles, own, last, before)
+        fresh = path < 0
+        path[fresh] = np.arange(n, n + fresh.sum())
+        n = max(n, int(path.max(initial=-1)) + 1)
+        known, (last, shapes) = len(last), (np.resize(last, (n, 2)), np.resize(before, (n, own.shape[1])))
+        last[path] = np.column_stack([poles, np.where(path < known, 2 * poles - last[path, 0], poles)])
+        shapes[path] = own
+        paths.append(path)
         towards = np.column_stack([poles.real, poles.imag]) / np.abs(poles)[:, None]
         variance = np.einsum("ia,iab,ib->i", towards, poles_of_model.pole_covariance[keep], towards)
         rows.append((np.abs(poles) / (2 * np.pi), np.sqrt(variance) / (2 * np.pi), -poles.real / np.abs(poles)))
-    most = max(len(row[0]) for row in rows)
-    columns = np.full((3, len(rows), most), np.nan)
-    for i, row in enumerate(rows):
-        columns[:, i, : len(row[0])] = row
+    columns = np.full((3, len(rows), n), np.nan)
+    for i, (row, path) in enumerate(zip(rows, paths, strict=True)):
+        columns[:, i, path] = row
     return Campbell(np.array(speeds, float), *columns)
+
+
+def _mode_shapes(model: LinearModel, poles: ComplexArray) -> ComplexArray:
+    """Return the residue of each pole from every input to every output, as vectors of length one: (n_modes, n)."""
+    values, right = np.linalg.eig(model.A)
+    values = values if model.dt is None else poles_of_samples(values, model.dt)
+    nearest = np.abs(values - poles[:, None]).argmin(axis=1)
+    left = np.linalg.pinv(right)
+    inputs = model.B if model.B_delayed is None else np.hstack([model.B, model.B_delayed])
+    shapes = np.einsum("yk,ku->kyu", model.C @ right, left @ inputs)[nearest].reshape(len(poles), -1)
+    size = np.linalg.norm(shapes, axis=1, keepdims=True)
+    return np.asarray(shapes / np.where(size > 0, size, 1.0))
+
+
+def _followed(poles: ComplexArray, shapes: ComplexArray, last: ComplexArray, before: ComplexArray) -> IntArray:
+    """Return the column that each mode continues, -1 for a new one.
+
+    Parameters
+    ----------
+    poles, shapes : (k,), (k, p) array
+        Modes and their shapes.
+    last, before : (n, 2), (n, p) array
+        Of each column the last pole and the one expected next, and the last shape.
+    """
+    path = np.full(len(poles), -1)
+    alike = np.abs(shapes.conj() @ before.T)
+    apart = np.abs(np.abs(poles)[:, None] / np.maximum(np.abs(last[:, 1]), 1e-300) - 1)
+    rows, columns = linear_sum_assignment(1 - alike + np.minimum(apart, 1.0))
+    path[rows] = columns
+    return path
 
 
 @styled

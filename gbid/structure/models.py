@@ -608,3 +608,68 @@ def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
     around = (pairs.imag[:, None] + np.abs(pairs.real)[:, None] * spread).ravel() / (2 * np.pi)
     grid = np.unique(np.concatenate([[0.0], even, around, rates]))
     return np.asarray(grid[(grid >= 0) & (grid <= nyquist)])
+
+
+_FINE, _MOST_POINTS, _CLOSEST = 0.5, 30_000, 1e-9
+"""Largest step of a phase [rad] between points, most points, and smallest ratio of frequencies between them."""
+
+
+def phase_in_degrees(model: LinearModel, frequency_hz: npt.ArrayLike) -> FloatArray:
+    """Return the phase of a frequency response without jumps, counted from the poles, of its shape [degrees].
+
+    Toward rest the phase is -90 degrees for each integrator of a channel. A negative gain there adds 180 degrees, or
+    takes them if an unstable pole makes the sign: 1/s^3 begins at -270 degrees, 1/(s - 1) at -180. From there the phase
+    is followed over frequencies that are refined until its steps are small, so that the given ones may be coarse. That
+    of a delayed input alone is exact.
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model.
+    frequency_hz : (n_frequencies,) array
+        Frequencies from zero [Hz], in any order.
+
+    Returns
+    -------
+    (n_frequencies, n_outputs, n_inputs) array
+        Phase [degrees]; 0 of a channel without effect.
+
+    Raises
+    ------
+    UsageError
+        As for `LinearModel.frequency_response`.
+    """
+    f = np.atleast_1d(np.asarray(frequency_hz, float))
+    late, turned = np.zeros(model.D.shape[1]), model
+    if model.delay is not None and model.B_delayed is not None:
+        alone = ~model.B.any(axis=0) & ~model.D.any(axis=0)
+        late = np.where(alone, model.delay, 0.0)
+        turned = replace(model, delay=np.where(alone, 0.0, model.delay))
+    poles, own = model.poles(), frequency_grid(model)
+    start = 1e-3 * float(min(own[own > 0].min(), f[f > 0].min(initial=np.inf)))
+    delay = 0.0 if turned.delay is None else float(np.max(turned.delay, initial=0.0))
+    turns = np.linspace(f.min(), f.max(), min(int(8 * delay * float(np.ptp(f))), _MOST_POINTS) + 2)
+    on_axis = np.abs(poles.imag[np.abs(poles.real) <= 1e-12 * np.abs(poles)]) / (2 * np.pi)
+    between = np.concatenate([own[(own > 0) & (own < f.max())], turns])
+    between = between[(np.abs(between[:, None] - on_axis) > 1e-6 * between[:, None]).all(axis=1)]
+    grid = np.unique(np.concatenate([[start, 2 * start], between, f[f > 0]]))
+    response = turned.frequency_response(grid)
+    while True:
+        steps = np.angle(response[1:] * response[:-1].conj())
+        ratio = grid[1:] / grid[:-1]
+        wide = (np.abs(steps) > _FINE).any(axis=(1, 2)) & (ratio > 1 + _CLOSEST)
+        if not wide.any() or len(grid) + wide.sum() > 2 * _MOST_POINTS:
+            break
+        middle = np.sqrt(grid[1:][wide] * grid[:-1][wide])
+        at = np.flatnonzero(wide) + 1
+        grid, response = np.insert(grid, at, middle), np.insert(response, at, turned.frequency_response(middle), axis=0)
+    for k in np.flatnonzero((np.abs(steps) > 2).any(axis=(1, 2))):  # a pole or zero without damping lies between
+        passed = ((on_axis >= grid[k]) & (on_axis <= grid[k + 1])).any()
+        steps[k] = np.where(np.abs(steps[k]) > 2, np.abs(steps[k]) * (-1 if passed else 1), steps[k])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.nan_to_num(np.round(np.log2(np.abs(response[1] / response[0]))))
+    odd = int((poles.real > 1e-9 * np.abs(poles).max(initial=0.0)).sum()) % 2
+    beyond = (np.degrees(np.angle(response[0])) - 90 * slope) % 360  # near 0 or 360, or near 180 for a negative gain
+    first = 90 * slope + np.where(np.abs(beyond - 180) < 90, beyond - 360 * odd, (beyond + 180) % 360 - 180)
+    phase = first + np.degrees(np.concatenate([np.zeros((1, *first.shape)), np.cumsum(steps, axis=0)]))
+    return np.asarray(phase[np.searchsorted(grid, f)] - 360 * f[:, None, None] * late)

@@ -252,6 +252,32 @@ def test_campbell_diagram(rec, result):
         report.plot_campbell({})
 
 
+def two_axes(speed_rpm: float, mixed: np.ndarray) -> LinearModel:
+    """x stiffens with the speed, y does not; they cross at 2 000 rpm; states in another basis at each speed."""
+    w = 2 * np.pi * np.array([50 + speed_rpm / 100, 70.0])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.diag(-(w**2)), np.diag(-2 * np.array([0.01, 0.02]) * w)]])
+    back = np.linalg.inv(mixed)
+    B, C = np.vstack([np.zeros((2, 2)), np.eye(2)]), np.eye(2, 4)
+    return LinearModel(back @ A @ mixed, back @ B, C @ mixed, np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("step", [1000.0, 1900.0, 4000.0])
+def test_modes_of_a_campbell_diagram_are_followed_through_a_crossing(step):
+    random = np.random.default_rng(4)
+    speeds = np.arange(0.0, 4001.0, step)
+    models = {float(v): two_axes(v, np.eye(4) + 0.3 * random.normal(size=(4, 4))) for v in speeds}
+    data = campbell_data(models)
+    np.testing.assert_allclose(data.frequency_hz, np.column_stack([50 + speeds / 100, np.full(len(speeds), 70.0)]))
+    np.testing.assert_allclose(data.damping, np.tile([0.01, 0.02], (len(speeds), 1)), rtol=1e-6)
+
+
+def test_a_mode_that_only_some_speeds_have_gets_a_column():
+    whole = two_axes(0.0, np.eye(4))
+    part = LinearModel(whole.A[1::2, 1::2], whole.B[1::2], whole.C[:, 1::2], whole.D)
+    hz = campbell_data({0.0: part, 1.0: whole, 2.0: part}).frequency_hz
+    np.testing.assert_allclose(hz, [[70, np.nan], [70, 50], [70, np.nan]])
+
+
 def test_orbit_and_its_mean_over_the_revolutions():
     t = 1e-3 * np.arange(4000)
     phi = 2 * np.pi * 7.3 * t

@@ -29,9 +29,8 @@ from gbid.identify.uncertainty.uncertain_model import (
     std_of,
 )
 from gbid.structure import LinearModel
-from gbid.structure.models import frequency_grid
+from gbid.structure.models import frequency_grid, phase_in_degrees
 
-_STEPS_PER_TURN, _MOST_STEPS = 8, 20_000  # for the phase of a delay
 LEVEL = 0.95
 """Usual probability of a confidence band."""
 
@@ -98,7 +97,7 @@ class Bode(ChannelCurves):
     magnitude, magnitude_std : (n, n_outputs, n_inputs) array
         Magnitude and its standard deviation.
     phase_deg, phase_std_deg : (n, n_outputs, n_inputs) array
-        Phase without jumps, and its standard deviation [degrees].
+        Phase without jumps, counted from the poles (see `phase_in_degrees`), and its standard deviation [degrees].
     input_names, output_names : tuple of str
         Names of the channels.
     name : str
@@ -222,7 +221,7 @@ def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
         plane_covariance(changes, covariance),
         np.abs(response),
         np.abs(response) * std_of(relative.real, covariance),
-        np.degrees(_unwrapped(model, f, response)),
+        phase_in_degrees(model, f),
         std_of(np.degrees(relative.imag), covariance),
         model.input_names,
         model.output_names,
@@ -236,17 +235,6 @@ def default_grid(source: UncertainModel) -> FloatArray:
     highest = 0.5 / source.sample_time if source.sample_time else np.inf
     inside = grid[(grid > 0) & (grid < highest)]
     return np.append(inside, highest) if np.isfinite(highest) and highest > inside[-1:].sum() else inside
-
-
-def _unwrapped(model: LinearModel, f: FloatArray, response: ComplexArray) -> FloatArray:
-    """Return the phase without jumps [rad]; between the frequencies steps are small enough for the longest delay."""
-    longest = 0.0 if model.delay is None else float(model.delay.max(initial=0.0))
-    turns = min(int(_STEPS_PER_TURN * longest * float(f.max() - f.min())), _MOST_STEPS)
-    if turns < 2:
-        return np.asarray(np.unwrap(np.angle(response), axis=0))
-    fine, position = np.unique(np.concatenate([f, np.linspace(f.min(), f.max(), turns)]), return_inverse=True)
-    phase = np.unwrap(np.angle(model.frequency_response(fine)), axis=0)
-    return np.asarray(phase[position[: len(f)]])
 
 
 def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: FloatArray) -> ComplexArray:
