@@ -89,6 +89,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m tests.benchmarks.campaign_speed --output docs/campaign-speed.json
 	$(BIN)/python -m tests.benchmarks.campaign_bill --output docs/campaign-bill.json
 	$(BIN)/python -m tests.benchmarks.scaling --output docs/scaling.json
+	$(BIN)/python -m tests.benchmarks.lanes
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
 	$(BIN)/python -m tests.benchmarks.kills --output docs/kills.json

@@ -22,6 +22,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from functools import cache
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -194,6 +195,14 @@ def _end(begun: subprocess.Popen[str]) -> None:
 
 
 # ---- Shared library of a C source, compiled now or taken from the cache.
+
+
+@cache
+def c_source(package: str, name: str) -> str:
+    """Return a C file of a package; vectors.c, in place of ``@VECTORS@``, chooses vectors by the target processor."""
+    text = files(package).joinpath(name).read_text(encoding="utf-8")
+    return text if "@VECTORS@" not in text else text.replace("@VECTORS@", c_source("gbid.core", "vectors.c").rstrip())
+
 
 # Sums may be reordered, but not -ffast-math: a library linked with it makes the whole process flush small numbers
 # to zero.

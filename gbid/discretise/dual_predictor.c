@@ -1,12 +1,11 @@
-/* Exponentials and predictors with their derivatives, by the formulas of exact.py and predictor.py: eight parameters at
-   a time, one in each lane. */
-typedef double v __attribute__((vector_size(64), aligned(8)));
-#define LANES 8
+/* Exponentials and predictors with their derivatives, by the formulas of exact.py and predictor.py: a parameter in each
+   lane of a vector. */
+@VECTORS@
 #define ORDER 15
 #define BLOCK 4
 
 /* An entry of a matrix, and its derivatives. */
-typedef struct { double value; v slope; } number;
+typedef struct { double value; u slope; } number;
 
 static inline number times(number a, number b) {
   return (number){a.value*b.value, a.slope*b.value + a.value*b.slope};
@@ -104,8 +103,8 @@ void gbid_exponentials(long points, long n, long n_p, long doublings, const doub
   const long m = n*n, all = points*m;
   for (long p = 0; p < points; p++) {
     long which[n_p + 1], count = moving(n_p, m, dZ + p*m, all, which);
-    for (long first = 0; first == 0 || first < count; first += LANES) {
-      const long lanes = count - first < LANES ? count - first : LANES;
+    for (long first = 0; first == 0 || first < count; first += WIDTH) {
+      const long lanes = count - first < WIDTH ? count - first : WIDTH;
       exponentials e = exponentials_in(n, (number *)room);
       load(m, Z + p*m, dZ + p*m, all, which + first, lanes, e.power[1]);
       exponentiate(n, doublings, &e);
@@ -134,8 +133,8 @@ void gbid_predictor(long points, long n, long n_prompt, long n_error, long n_lat
                *feed = C + n_error*n, one = {1};
   for (long p = 0; p < points; p++) {
     long which[n_p + 1], count = moving(n_p, width, jacobian + p*n_p*width, width, which);
-    for (long first = 0; first == 0 || first < count; first += LANES) {
-      const long lanes = count - first < LANES ? count - first : LANES;
+    for (long first = 0; first == 0 || first < count; first += WIDTH) {
+      const long lanes = count - first < WIDTH ? count - first : WIDTH;
       exponentials e = exponentials_in(n, (number *)room);
       load(width, values + p*width, jacobian + p*n_p*width, width, which + first, lanes, in);
       for (long i = 0; i < n*n; i++) e.power[1][i] = Z[i] = plus((number){0}, h, A[i]);

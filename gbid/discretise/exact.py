@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cache
-from importlib.resources import files
 from math import factorial, prod
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -25,13 +24,13 @@ import numpy as np
 import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, IntArray
-from gbid.core.compiled import CompilerMissingError, load_library, run_compiled
+from gbid.core.compiled import CompilerMissingError, c_source, load_library, run_compiled
 from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual
 
 TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double, so this order suffices when the norm is at most one
 LARGEST = 20  # states, with more of which products by BLAS are faster than those of dual_predictor.c
-NUMBER = 9  # size of a number of dual_predictor.c: its value and its derivatives by eight parameters
+NUMBER = 9  # largest size of a number of dual_predictor.c: its value and its derivatives by eight parameters
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
 
 
@@ -85,8 +84,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
 def compiled(name: str) -> Any:
     """Return a function of dual_predictor.c; None without a C compiler. Numpy then gives the same numbers."""
     try:
-        source = files("gbid.discretise").joinpath("dual_predictor.c").read_text(encoding="utf-8")
-        return getattr(load_library(source), name)
+        return getattr(load_library(c_source("gbid.discretise", "dual_predictor.c")), name)
     except CompilerMissingError:
         return None
 

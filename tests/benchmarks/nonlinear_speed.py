@@ -27,7 +27,7 @@ from gbid.structure import nonlinear_model
 from gbid.structure.kinds import equations_of
 from gbid.structure.linear import symbolic_matrices
 from tests.benchmarks.baselines import gauss_newton
-from tests.benchmarks.running import DOCS, markdown, options_of, run_study, stored, timed
+from tests.benchmarks.running import DOCS, about, markdown, options_of, run_study, stored, timed, under
 
 # ---- Fits of a bearing with a cubic film by the pattern of CasADi's documentation for identification (its ``sysid``).
 
@@ -332,7 +332,7 @@ def table(run: Mapping[str, Any]) -> str:
         (f"memory, {each['samples']:,} samples", f"{each['peak_mb']:.0f} MB, {each['cpu_s']:.1f} s")
         for each in run["memory"]
     ]
-    return markdown(("what", "processor time"), rows)
+    return markdown(("what", "processor time"), rows, *([under(dict(run))] if "processor" in run else []))
 
 
 def agrees(run: Mapping[str, Any]) -> bool:
@@ -356,7 +356,7 @@ def main() -> None:
         most=(600.0, "time limit of the baseline's solver [s]"),
     )
     n, longest = options.samples, options.longest
-    run: dict[str, Any] = {}
+    run: dict[str, Any] = about()
 
     def measured() -> dict[str, Any]:
         # The kernel counts what the parent held before a process began as its own: the baseline comes last.

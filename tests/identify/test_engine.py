@@ -175,6 +175,28 @@ def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
 
 
 @NEEDS_COMPILER
+@pytest.mark.parametrize("width", [2, 4, 8])
+def test_vectors_of_every_width_give_the_same_sums(width, fresh, cache):
+    """The vectors of SSE2, AVX2 and AVX-512 on any processor, against those of the target."""
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, blocks, starts, weight = problem("every", *SHAPES["ragged, padded"])
+    v, random = predictor.at(theta), np.random.default_rng(8)
+    at, results = Lagrangian(starts, random.normal(size=starts.shape), weight), []
+    for flags in ("-O1", f"-O1 -DWIDTH={width}"):
+        fresh.setenv("GBID_CFLAGS", flags)
+        forget_libraries()
+        kernel = CompiledLinearKernel(KernelPattern.of(v))
+        (traced,) = kernel.trace(v, blocks, starts, [weight])
+        assert_same_sums(traced.sums, results[0][0] if results else traced.sums, 1e-13)
+        prediction = kernel.passed(v, blocks, traced.begin)
+        psi = kernel.sensitivities(v, blocks, prediction, traced.linked, slice(0, blocks.n_blocks))
+        second = kernel.left_out(v, blocks, at, [Moved(0, 0.1, predictor.at(theta + 0.1))])
+        results.append((traced.sums, *prediction, psi, *second))
+    for a, b in zip(*(result[1:] for result in results), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13 * np.abs(b).max())
+
+
+@NEEDS_COMPILER
 def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, blocks, starts, weight = problem("every", (100,), 20)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from compilers import NEEDS_COMPILER, no_compiler
+from compilers import NEEDS_COMPILER, forget_libraries, no_compiler
 
 from gbid import NonlinearStructure, Parameter
 from gbid.identify.disturbances import Disturbances, Trend
@@ -62,11 +62,14 @@ def through_all_steps(predictor, values, blocks, start, window):
     return (np.array(each, float) for each in result)
 
 
-@pytest.mark.parametrize("engine", [pytest.param("compiled", marks=NEEDS_COMPILER), "numpy"])
-def test_pass_is_that_of_casadi_through_all_steps(case, engine):
+@pytest.mark.parametrize("engine", [*(pytest.param(n, marks=NEEDS_COMPILER) for n in (2, 4, 8)), "numpy"])
+def test_pass_is_that_of_casadi_through_all_steps(case, engine, monkeypatch):
     predictor, values, blocks, starts = case
-    with nullcontext() if engine == "compiled" else no_compiler():
+    monkeypatch.setenv("GBID_CFLAGS", f"-O1 -DWIDTH={engine}")
+    forget_libraries()
+    with no_compiler() if engine == "numpy" else nullcontext():
         kernel, _ = choose_kernel(predictor, AT)
+    forget_libraries()
     weight = np.array([[2.0, 0.3], [0.3, 1.0]])
     sweep = kernel.sweep(values, blocks, starts, weight)
     n_p = len(values.theta)

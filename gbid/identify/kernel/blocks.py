@@ -18,7 +18,7 @@ LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blo
 _LONGEST_WITH_GAPS = 64  # the same where numpy runs all blocks side by side, sample by sample
 _KEPT_BYTES = 2**21  # regressors that stay where others are made: those of a short record are wanted again soon
 _AT_ONCE = 32_768  # samples whose regressors are made together
-LANES = 8  # blocks in one group: number of doubles in the widest vector register
+LANES = 8  # blocks in one group, as in vectors.c: number of doubles in the widest vector register
 
 
 class GapGains(NamedTuple):

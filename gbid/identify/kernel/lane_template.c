@@ -1,9 +1,9 @@
 /* Written by gbid for one nonlinear structure: see gbid/identify/kernel/lanes.py. */
 @VECTORS@
-typedef long long m8 __attribute__((vector_size(64)));
+typedef long long mask __attribute__((vector_size(8*WIDTH)));
 static inline v all(double a) { return (v){0} + a; }
-static inline v kept(v a, m8 live) { return (v)((m8)a & live); }
-static inline v one(m8 is) { return kept(all(1.0), is); }
+static inline v kept(v a, mask live) { return (v)((mask)a & live); }
+static inline v one(mask is) { return kept(all(1.0), is); }
 @FUNCTIONS@
 #define N @N@
 #define NP @NP@
@@ -13,10 +13,9 @@ static inline v one(m8 is) { return kept(all(1.0), is); }
 #define NY @NY@
 #define NQ @NQ@
 #define FEEDS @FEEDS@
-#define ROWS @ROWS@
+#define PAD TILED(NC + 1) /* columns of the derivatives, then the error */
+#define ROWS AT_LEAST_4(BUFFER/(PAD*NY*sizeof(v)))
 #define BUF (ROWS*NY)
-#define TILE 4
-#define PAD (((NC + 1 + TILE - 1)/TILE)*TILE) /* columns of the derivatives, then the error */
 @PRODUCTS@
 
 /* Parameters, the part of a sample that is one step, and what depends on them alone. */
@@ -109,8 +108,8 @@ typedef struct { v P[PAD*BUF], H[PAD*PAD], Ht[NP*NP]; jacobians J; } workspace;
 /* The workspace is handed over: its address would be looked up again and again within the loops. */
 static void __attribute__((noinline)) sums_with(
     workspace *w, long groups, long length, long steps, const double *theta, const double *known, const double *R,
-    const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
-    double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end, double *slopes) {
+    const u *zs, const u *ys, const u *used, const long long *size, const u *starts,
+    double *hessian, double *products, u *gradient, u *mixed, u *by_start, u *end, u *slopes) {
   v *restrict const P = w->P, *restrict const E = P + NC*BUF, *restrict const H = w->H;
   v ee[NY*NY];
   point p;
@@ -118,27 +117,28 @@ static void __attribute__((noinline)) sums_with(
   for (int i = 0; i < PAD*BUF; i++) P[i] = all(0.0);
   for (int i = 0; i < NP*NP; i++) w->Ht[i] = all(0.0);
   for (int i = 0; i < NY*NY; i++) ee[i] = all(0.0);
-  for (long b = 0; b < groups; b++) {
+  for (long h = 0; h < groups*PARTS; h++) {
+    const long b = h/PARTS, part = h%PARTS;
     v x[N], S[N*NC];
-    const long long *count = size + 8*b;
+    const long long *count = size + h*WIDTH;
     int ragged = 0, weighted = 0, t = 0;
-    for (int l = 0; l < 8; l++) ragged |= count[l] != length;
-    for (long k = b*length*8; k < (b + 1)*length*8; k++) weighted |= used[k] != 1;
-    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int l = 0; l < WIDTH; l++) ragged |= count[l] != length;
+    for (long k = 0; k < length; k++) for (int l = 0; l < WIDTH; l++) weighted |= used[AT(b*length + k)][l] != 1;
+    for (int c = 0; c < N; c++) x[c] = starts[AT(b*N + c)];
     for (int i = 0; i < N*NC; i++) S[i] = all(i >= N*NP && (i - N*NP)%(N + 1) == 0 ? 1.0 : 0.0);
     for (int i = 0; i < PAD*PAD; i++) H[i] = all(0.0);
     if (ragged) {
-      for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
-      for (int i = 0; i < N*NC; i++) *(u *)(slopes + (b*N*NC + i)*8) = S[i];
+      for (int c = 0; c < N; c++) end[AT(b*N + c)] = x[c];
+      for (int i = 0; i < N*NC; i++) slopes[AT(b*N*NC + i)] = S[i];
     }
     for (long k = 0; k < length; k++) {
       v z[NZ], yhat[NY], psi[NY*NC], e[NY];
-      const v m = *(const u *)(used + (b*length + k)*8);
-      const m8 live = m != 0.0;
-      for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
+      const v m = used[AT(b*length + k)];
+      const mask live = m != 0.0;
+      for (int i = 0; i < NZ; i++) z[i] = zs[AT((b*length + k)*NZ + i)];
       onwards_with_slopes(&p, &w->J, x, S, z, yhat, psi);
       for (int j = 0; j < NY; j++)
-        e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, live);
+        e[j] = kept((ys[AT((b*length + k)*NY + j)] - yhat[j])*m, live);
       if (weighted) for (int i = 0; i < NY*NC; i++) psi[i] = kept(psi[i]*m, live);
       for (int a = 0; a < NY; a++) {
         v sum = all(0.0);
@@ -152,10 +152,10 @@ static void __attribute__((noinline)) sums_with(
         }
       }
       if (ragged)
-        for (int l = 0; l < 8; l++)
+        for (int l = 0; l < WIDTH; l++)
           if (count[l] == k + 1) {
-            for (int c = 0; c < N; c++) end[(b*N + c)*8 + l] = x[c][l];
-            for (int i = 0; i < N*NC; i++) slopes[(b*N*NC + i)*8 + l] = S[i][l];
+            for (int c = 0; c < N; c++) end[AT(b*N + c)][l] = x[c][l];
+            for (int i = 0; i < N*NC; i++) slopes[AT(b*N*NC + i)][l] = S[i][l];
           }
       if (++t == ROWS || k + 1 == length) {
         sum_up(t*NY, P, H);
@@ -163,17 +163,17 @@ static void __attribute__((noinline)) sums_with(
       }
     }
     if (!ragged) {
-      for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
-      for (int i = 0; i < N*NC; i++) *(u *)(slopes + (b*N*NC + i)*8) = S[i];
+      for (int c = 0; c < N; c++) end[AT(b*N + c)] = x[c];
+      for (int i = 0; i < N*NC; i++) slopes[AT(b*N*NC + i)] = S[i];
     }
     for (int i = 0; i < NP; i++) {
       for (int j = i; j < NP; j++) w->Ht[i*NP + j] += H[i*PAD + j];
-      for (int j = 0; j < N; j++) *(u *)(mixed + ((b*NP + i)*N + j)*8) = H[i*PAD + NP + j];
+      for (int j = 0; j < N; j++) mixed[AT((b*NP + i)*N + j)] = H[i*PAD + NP + j];
     }
     for (int i = 0; i < N; i++)
       for (int j = i; j < N; j++)
-        *(u *)(by_start + ((b*N + i)*N + j)*8) = *(u *)(by_start + ((b*N + j)*N + i)*8) = H[(NP + i)*PAD + NP + j];
-    for (int i = 0; i < NC; i++) *(u *)(gradient + (b*NC + i)*8) = -H[i*PAD + NC];
+        by_start[AT((b*N + i)*N + j)] = by_start[AT((b*N + j)*N + i)] = H[(NP + i)*PAD + NP + j];
+    for (int i = 0; i < NC; i++) gradient[AT(b*NC + i)] = -H[i*PAD + NC];
   }
   for (int i = 0; i < NP; i++)
     for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(w->Ht[i*NP + j]);
@@ -185,51 +185,53 @@ static void __attribute__((noinline)) sums_with(
 
 /* Sums of the Gauss-Newton problem; arrays as for SampleSums, the eight blocks of a group innermost. */
 void gbid_sums(long groups, long length, long steps, const double *theta, const double *known, const double *R,
-               const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
-               double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end,
-               double *slopes) {
+               const u *zs, const u *ys, const u *used, const long long *size, const u *starts,
+               double *hessian, double *products, u *gradient, u *mixed, u *by_start, u *end,
+               u *slopes) {
   sums_with(workspace_of_thread(), groups, length, steps, theta, known, R, zs, ys, used, size, starts, hessian,
             products, gradient, mixed, by_start, end, slopes);
 }
 
 /* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
-void gbid_passed(long groups, long length, long steps, const double *theta, const double *known, const double *zs,
-                 const double *ys, const double *used, const double *starts, double *states, double *errors,
-                 double *end, double *products) {
+void gbid_passed(long groups, long length, long steps, const double *theta, const double *known, const u *zs,
+                 const u *ys, const u *used, const u *starts, u *states, u *errors,
+                 u *end, u *products) {
   point p;
   point_of(&p, theta, known, steps);
-  for (long b = 0; b < groups; b++) {
+  for (long h = 0; h < groups*PARTS; h++) {
+    const long b = h/PARTS, part = h%PARTS;
     v x[N], yhat[NY], z[NZ], e[NY], ee[NY*NY];
-    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int c = 0; c < N; c++) x[c] = starts[AT(b*N + c)];
     for (int i = 0; i < NY*NY; i++) ee[i] = all(0.0);
     for (long k = 0; k < length; k++) {
-      const v m = *(const u *)(used + (b*length + k)*8);
-      for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
-      if (states) for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
+      const v m = used[AT(b*length + k)];
+      for (int i = 0; i < NZ; i++) z[i] = zs[AT((b*length + k)*NZ + i)];
+      if (states) for (int c = 0; c < N; c++) states[AT((b*length + k)*N + c)] = x[c];
       onwards(&p, x, z, yhat);
-      for (int j = 0; j < NY; j++) e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, m != 0.0);
+      for (int j = 0; j < NY; j++) e[j] = kept((ys[AT((b*length + k)*NY + j)] - yhat[j])*m, m != 0.0);
       for (int a = 0; a < NY; a++) for (int c = 0; c < NY; c++) ee[a*NY + c] += e[a]*e[c];
-      if (errors) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      if (errors) for (int j = 0; j < NY; j++) errors[AT((b*length + k)*NY + j)] = e[j];
     }
-    if (end) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
-    for (int i = 0; i < NY*NY; i++) *(u *)(products + (b*NY*NY + i)*8) = ee[i];
+    if (end) for (int c = 0; c < N; c++) end[AT(b*N + c)] = x[c];
+    for (int i = 0; i < NY*NY; i++) products[AT(b*NY*NY + i)] = ee[i];
   }
 }
 
 /* Derivatives of the outputs, sample by sample, from given states and derivatives at the starts. */
-void gbid_psi(long groups, long length, long steps, const double *theta, const double *known, const double *zs,
-              const double *starts, const double *first, double *slopes) {
+void gbid_psi(long groups, long length, long steps, const double *theta, const double *known, const u *zs,
+              const u *starts, const u *first, u *slopes) {
   jacobians *J = &workspace_of_thread()->J;
   point p;
   point_of(&p, theta, known, steps);
-  for (long b = 0; b < groups; b++) {
+  for (long h = 0; h < groups*PARTS; h++) {
+    const long b = h/PARTS, part = h%PARTS;
     v x[N], S[N*NC], yhat[NY], z[NZ], psi[NY*NC];
-    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
-    for (int i = 0; i < N*NC; i++) S[i] = *(const u *)(first + (b*N*NC + i)*8);
+    for (int c = 0; c < N; c++) x[c] = starts[AT(b*N + c)];
+    for (int i = 0; i < N*NC; i++) S[i] = first[AT(b*N*NC + i)];
     for (long k = 0; k < length; k++) {
-      for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
+      for (int i = 0; i < NZ; i++) z[i] = zs[AT((b*length + k)*NZ + i)];
       onwards_with_slopes(&p, J, x, S, z, yhat, psi);
-      for (int i = 0; i < NY*NC; i++) *(u *)(slopes + ((b*length + k)*NY*NC + i)*8) = psi[i];
+      for (int i = 0; i < NY*NC; i++) slopes[AT((b*length + k)*NY*NC + i)] = psi[i];
     }
   }
 }
@@ -239,26 +241,26 @@ static long block_of(const long long *first, const long long *count, long window
   return first[w] + (i < count[w] ? i : count[w] - 1);
 }
 
-/* States at the starts of the blocks of windows, eight windows at a time. Each window has parameters of its own, and a
+/* States at the starts of the blocks of windows, a window in each lane. Each window has parameters of its own, and a
    row of the result to which its blocks are added. */
 void gbid_begin(long windows, long length, long steps, const double *theta, const double *known, const double *zs,
                 const long long *first, const long long *count, const long long *row, const double *starts,
                 double *begin) {
-  for (long w = 0; w < windows; w += 8) {
+  for (long w = 0; w < windows; w += WIDTH) {
     v x[N], yhat[NY], z[NZ], own_theta[NP];
     point p;
     for (int i = 0; i < NP; i++)
-      for (int l = 0; l < 8; l++) own_theta[i][l] = theta[(w + l < windows ? w + l : windows - 1)*NP + i];
+      for (int l = 0; l < WIDTH; l++) own_theta[i][l] = theta[(w + l < windows ? w + l : windows - 1)*NP + i];
     point_at(&p, own_theta, known, steps);
     long most = 0;
-    for (int l = 0; l < 8; l++) {
+    for (int l = 0; l < WIDTH; l++) {
       const long own = w + l < windows ? w + l : windows - 1;
       if (w + l < windows && count[own] > most) most = count[own];
       for (int c = 0; c < N; c++) x[c][l] = starts[own*N + c];
     }
     for (long i = 0; i < most; i++) {
-      long at[8];
-      for (int l = 0; l < 8; l++) {
+      long at[WIDTH];
+      for (int l = 0; l < WIDTH; l++) {
         at[l] = block_of(first, count, w + l, windows, i);
         if (w + l < windows && i < count[w + l])
           for (int c = 0; c < N; c++) begin[(row[w + l] + at[l])*N + c] = x[c][l];
@@ -266,7 +268,7 @@ void gbid_begin(long windows, long length, long steps, const double *theta, cons
       if (i + 1 == most) break;
       for (long k = 0; k < length; k++) {
         for (int j = 0; j < NZ; j++)
-          for (int l = 0; l < 8; l++) z[j][l] = zs[(((at[l]/8)*length + k)*NZ + j)*8 + at[l]%8];
+          for (int l = 0; l < WIDTH; l++) z[j][l] = zs[((at[l]/LANES*length + k)*NZ + j)*LANES + at[l]%LANES];
         onwards(&p, x, z, yhat);
       }
     }

@@ -1,4 +1,4 @@
-"""Kernel of nonlinear predictors in C: a block in each of the eight lanes of the vector unit."""
+"""Kernel of nonlinear predictors in C: a block in each lane of the vector unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
 from gbid.identify.kernel.sums import SampleSums
 
-# ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
+# ---- C of a casadi.Function for a vector of columns, written from CasADi's own list of instructions.
 
 _BY_LANE = "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil erf log1p expm1"
 _OF_ONE = {getattr(ca, f"OP_{name.upper()}"): name for name in _BY_LANE.split()}
@@ -68,13 +68,14 @@ def lane_source(functions: SampleFunctions) -> str:
     named = {name: f for name, f in functions._asdict().items() if isinstance(f, ca.Function)}
     met = {f.instruction_id(k) for f in named.values() for k in range(f.n_instructions())}
     helpers = [
-        f"static inline v {name}_(v a) {{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
+        f"static inline v {name}_(v a) "
+        f"{{ v r; for (int l = 0; l < WIDTH; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
         for operation, name in _OF_ONE.items()
         if operation in met
     ]
     helpers += [
         f"static inline v {name}_(v a, v b) "
-        f"{{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
+        f"{{ v r; for (int l = 0; l < WIDTH; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
         for name in sorted({name for operation, name in _OF_TWO.items() if operation in met})
     ]
     dense = places_of(functions.step_jacobian.sparsity_out(2))
@@ -247,7 +248,6 @@ def _inline(name: str, arguments: str, lines: list[str]) -> str:
     return "\n".join([f"static inline void {name}({arguments}) {{", *lines, "}"])
 
 
-_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 # With -O2 the sums of the pass stay in memory, and it takes 70 % longer.
 # As for the linear kernels, but sums keep their order.
 _FLAGS = tuple(flag for flag in FLAGS if flag not in ("-fno-signed-zeros", "-fassociative-math"))
@@ -349,7 +349,6 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
 def source_of(functions: SampleFunctions) -> str:
     """Return the C source of the runner of a predictor."""
     n, n_y, n_p = functions.output.size1_in(0), functions.output.size1_out(1), functions.output.size1_in(2)
-    n_c = n_p + n
     sizes = {
         "N": n,
         "NP": n_p,
@@ -358,7 +357,6 @@ def source_of(functions: SampleFunctions) -> str:
         "NY": n_y,
         "NQ": functions.output.size1_in(3),
         "FEEDS": int(functions.feeds_back),
-        "ROWS": max(4, _BUFFER_BYTES // ((n_c + 3) * n_y * 64)),
     }
     parts = {"FUNCTIONS": lane_source(functions), "PRODUCTS": product_source(functions)}
     return filled("lane_template.c", {**parts, **sizes})

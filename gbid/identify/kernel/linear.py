@@ -5,13 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
-from gbid.core.compiled import load_library, run_compiled
+from gbid.core.compiled import c_source, load_library, run_compiled
 from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
@@ -331,27 +330,20 @@ def reached(F: BoolArray, first: BoolArray) -> BoolArray:
 
 # ---- C source of the pass over the samples, for one size and one pattern of nonzeros.
 #
-# Eight blocks run side by side in the lanes of a vector type. The recursion of states and sensitivities is
-# written out entry by entry, zeros left out; the sums over the samples are small matrix products on a buffer of
-# a few steps, so that their accumulators stay in registers. The second pass, products of the adjoint and the
+# Blocks run side by side in the lanes of a vector type. The recursion of states and sensitivities is written out
+# entry by entry, zeros left out; the sums over the samples are small matrix products on a buffer of a few steps, so
+# that their accumulators stay in registers. The second pass, products of the adjoint and the
 # sensitivities of the states, is a library of its own, because only fits with coloured errors need it.
-
-_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
-_SECOND_BUFFER_BYTES = 96 * 1024  # factors of the products of the second pass held between sums: as above
-TILE = 4
 
 
 @lru_cache(maxsize=32)
 def kernel_source(pattern: KernelPattern) -> str:
     """Return the C source of ``gbid_pass``, ``gbid_predict`` and ``gbid_adjoint``: one unit without includes."""
-    n, n_y, n_p = len(pattern.F), len(pattern.C), len(pattern.dF)
-    padded = _tiled(n_p + 1)
+    n_p = len(pattern.dF)
     return _source(
         "linear_pass.c",
         pattern,
-        NPP=padded,
-        NT=_tiled(n),
-        STEPS=max(4, _BUFFER_BYTES // (padded * n_y * 64)),
+        NT=_padded(len(pattern.F)),
         STEP=[*_outputs(pattern), *_state(pattern), *(line for i in range(n_p) for line in _sensitivity(pattern, i))],
         PREDICT=[*_errors(pattern), *_state(pattern)],
         BACK=_adjoint(pattern),
@@ -361,15 +353,13 @@ def kernel_source(pattern: KernelPattern) -> str:
 @lru_cache(maxsize=32)
 def second_source(pattern: KernelPattern) -> str:
     """Return the C source of ``gbid_second``: one unit without includes."""
-    n, n_y, n_p = len(pattern.F), len(pattern.C), len(pattern.dF)
-    rows, columns = _tiled(n + n_y), _tiled(n_p * n)
+    n, n_p = len(pattern.F), len(pattern.dF)
     step = []
     for i in range(n_p):
         after = _state_sensitivity(pattern, i)
         step += ["{", f"const v *restrict s = before + {i * n};"]
         step += [*(f"next[{i * n + r}] = {value};" for r, value in after.items()), "}"]
-    count = max(4, _SECOND_BUFFER_BYTES // ((rows + columns) * 64))
-    return _source("second_pass.c", pattern, ROWS=rows, COLUMNS=columns, STEPS=count, STEP=step)
+    return _source("second_pass.c", pattern, STEP=step)
 
 
 def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
@@ -378,26 +368,20 @@ def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
     lines = {
         key: part if isinstance(part, int) else "\n".join("      " + s for s in part) for key, part in parts.items()
     }
-    return filled(name, {"N": n, "NZ": n_z, "NY": n_y, "NP": n_p, "TILE": TILE, **lines})
+    return filled(name, {"N": n, "NZ": n_z, "NY": n_y, "NP": n_p, **lines})
 
 
 def filled(name: str, parts: Mapping[str, object]) -> str:
     """Return a file of C of this folder with what these share, and parts in place of their names, ``@NAME@``."""
-    text = _file(name)
-    shared = {"VECTORS": _file("vectors.c").rstrip(), "WORKSPACE": _file("workspace.h").rstrip()}
-    for key, part in {**shared, **parts}.items():
+    text = c_source("gbid.identify.kernel", name)
+    for key, part in {"WORKSPACE": c_source("gbid.identify.kernel", "workspace.h").rstrip(), **parts}.items():
         text = text.replace(f"@{key}@", str(part))
     return text
 
 
-@lru_cache
-def _file(name: str) -> str:
-    return files("gbid.identify.kernel").joinpath(name).read_text(encoding="utf-8")
-
-
-def _tiled(size: int) -> int:
-    """Return a size rounded up to whole tiles."""
-    return -(-size // TILE) * TILE
+def _padded(n: int) -> int:
+    """Return the columns of responses to n states in memory: a multiple of four."""
+    return -(-n // 4) * 4
 
 
 def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
@@ -570,7 +554,7 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
         by_group = [np.empty((n_groups, *shape, lanes)) for shape in ((n_p,), (n,), (n_p, n), (n,))]
         by_group.append(np.zeros((n_groups, n_p, n, lanes)))  # stays zero for padding
-        response = np.zeros((length, n_y, _tiled(n)))
+        response = np.zeros((length, n_y, _padded(n)))
         response[:, :, :n] = free
         arrays = [*v[:8], root, response, z, blocks.y, blocks.used, blocks.size, blocks.by_group(begin)]
         run_compiled(self._pass, (n_groups, length), arrays, [hessian, products, *by_group])
@@ -622,7 +606,7 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         starts = np.concatenate([linked.by_theta[some], linked.by_start[some]], axis=2).transpose(0, 2, 1)
         sides = _aligned((2 * m * n + n + n_z + m * n_y * _CHUNK) * LANES)
         psi = np.empty((n_y * m, count, length))
-        run = load_library(_file("sensitivities.c")).gbid_sensitivities
+        run = load_library(c_source("gbid.identify.kernel", "sensitivities.c")).gbid_sensitivities
         sizes = (n, n_p, n_y, n_z, length, some.start, some.stop)
         run_compiled(run, sizes, [*entries, prediction.states, z, blocks.used, starts], [sides, psi])
         return psi

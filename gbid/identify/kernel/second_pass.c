@@ -4,10 +4,9 @@
 #define NZ @NZ@
 #define NY @NY@
 #define NP @NP@
-#define ROWS @ROWS@
-#define COLUMNS @COLUMNS@
-#define STEPS @STEPS@
-#define TILE @TILE@
+#define ROWS TILED(N + NY)
+#define COLUMNS TILED(NP*N)
+#define STEPS AT_LEAST_4(BUFFER/((ROWS + COLUMNS)*sizeof(v)))
 
 /* Products over the samples of one buffer. */
 static void add_up(int count, const v *restrict A, const v *restrict S, v *restrict P) {
@@ -31,8 +30,8 @@ typedef struct { v A[STEPS*ROWS], S[(STEPS + 1)*COLUMNS], P[ROWS*COLUMNS]; } wor
 
 /* Arrays as documented for CompiledLinearKernel.second_pass, the eight blocks of a group innermost. */
 void gbid_second(long groups, long length, const double *restrict F, const double *restrict dF,
-                 const double *restrict dG, const double *restrict states, const double *restrict zs,
-                 const double *restrict factors, double *restrict products, double *restrict end_theta) {
+                 const double *restrict dG, const u *restrict states, const u *restrict zs,
+                 const u *restrict factors, double *restrict products, u *restrict end_theta) {
   const v zero = {0};
   workspace *w = workspace_of_thread();
   v *restrict const A = w->A, *restrict const S = w->S, *restrict const P = w->P;
@@ -40,16 +39,17 @@ void gbid_second(long groups, long length, const double *restrict F, const doubl
   for (int i = 0; i < ROWS*COLUMNS; i++) P[i] = zero;
   for (int i = 0; i < STEPS*ROWS; i++) A[i] = zero;
   for (int i = 0; i < (STEPS + 1)*COLUMNS; i++) S[i] = zero;
-  for (long b = 0; b < groups; b++) {
+  for (long h = 0; h < groups*PARTS; h++) {
+    const long b = h/PARTS, part = h%PARTS;
     int t = 0;
     for (int i = 0; i < COLUMNS; i++) S[i] = zero;
     for (long k = 0; k < length; k++) {
-      const u *x = (const u *)(states + (b*length + k)*N*8);
-      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
-      const u *f = (const u *)(factors + (b*length + k)*(N + NY)*8);
+      v x[N], z[NZ];
+      for (int c = 0; c < N; c++) x[c] = states[AT((b*length + k)*N + c)];
+      for (int j = 0; j < NZ; j++) z[j] = zs[AT((b*length + k)*NZ + j)];
       const v *restrict before = S + t*COLUMNS;
       v *restrict next = S + (t + 1)*COLUMNS;
-      for (int i = 0; i < N + NY; i++) A[t*ROWS + i] = f[i];
+      for (int i = 0; i < N + NY; i++) A[t*ROWS + i] = factors[AT((b*length + k)*(N + NY) + i)];
 @STEP@
       if (++t == STEPS || k + 1 == length) {
         add_up(t, A, S, P);
@@ -57,7 +57,7 @@ void gbid_second(long groups, long length, const double *restrict F, const doubl
         t = 0;
       }
     }
-    for (int i = 0; i < NP*N; i++) *(u *)(end_theta + (b*NP*N + i)*8) = S[i];
+    for (int i = 0; i < NP*N; i++) end_theta[AT(b*NP*N + i)] = S[i];
   }
   for (int i = 0; i < N + NY; i++)
     for (int j = 0; j < NP*N; j++) products[i*NP*N + j] = total(P[i*COLUMNS + j]);

@@ -1,6 +1,5 @@
-/* Sensitivities of the predictions of a linear predictor, sample by sample, for any sizes: eight blocks at a time. */
-typedef double v __attribute__((vector_size(64)));
-typedef double u __attribute__((vector_size(64), aligned(8)));
+/* Sensitivities of the predictions of a linear predictor, sample by sample, for any sizes. */
+@VECTORS@
 #define CHUNK 8
 
 /* Rows of a matrix without its zeros: entries of row r are those from row[r] to row[r + 1]. */
@@ -20,22 +19,23 @@ void gbid_sensitivities(long n, long n_p, long n_y, long n_z, long length, long 
                         const long long *C_row, const long long *C_column, const double *C_value,
                         const long long *D_row, const long long *D_column, const double *D_value,
                         const long long *E_row, const long long *E_column, const double *E_value,
-                        const double *states, const double *zs, const double *used, const double *starts,
+                        const u *states, const u *zs, const u *used, const double *starts,
                         double *sides, double *psi) {
   const sparse F = {F_row, F_column, F_value}, C = {C_row, C_column, C_value}, D = {D_row, D_column, D_value},
                E = {E_row, E_column, E_value};
   const long m = n_p + n, count = stop - first;
   v *S = (v *)sides, *next = S + m*n, *w = next + m*n, *Q = w + n + n_z;
   const v zero = {0};
-  for (long g = first/8; g < (stop + 7)/8; g++) {
-    for (long l = 0; l < 8; l++) {
-      const long b = 8*g + l - first;
+  for (long h = first/WIDTH; h < (stop + WIDTH - 1)/WIDTH; h++) {
+    const long g = h/PARTS, part = h%PARTS;
+    for (long l = 0; l < WIDTH; l++) {
+      const long b = h*WIDTH + l - first;
       for (long i = 0; i < m*n; i++) S[i][l] = b >= 0 && b < count ? starts[b*m*n + i] : 0;
     }
     for (long k = 0; k < length; k++) {
-      const v used_k = *(const u *)(used + (g*length + k)*8);
-      for (long c = 0; c < n; c++) w[c] = *(const u *)(states + ((g*length + k)*n + c)*8);
-      for (long c = 0; c < n_z; c++) w[n + c] = *(const u *)(zs + ((g*length + k)*n_z + c)*8);
+      const v used_k = used[AT(g*length + k)];
+      for (long c = 0; c < n; c++) w[c] = states[AT((g*length + k)*n + c)];
+      for (long c = 0; c < n_z; c++) w[n + c] = zs[AT((g*length + k)*n_z + c)];
       for (long i = 0; i < m; i++) {
         const v *s = S + i*n;
         for (long j = 0; j < n_y; j++) {
@@ -47,8 +47,8 @@ void gbid_sensitivities(long n, long n_p, long n_y, long n_z, long length, long 
       v *swap = S; S = next; next = swap;
       if ((k + 1)%CHUNK == 0 || k + 1 == length)
         for (long r = 0; r < n_y*m; r++)
-          for (long l = 0; l < 8; l++) {
-            const long b = 8*g + l - first, begin = k - k%CHUNK;
+          for (long l = 0; l < WIDTH; l++) {
+            const long b = h*WIDTH + l - first, begin = k - k%CHUNK;
             if (b >= 0 && b < count)
               for (long t = begin; t <= k; t++) psi[(r*count + b)*length + t] = Q[r*CHUNK + t - begin][l];
           }
