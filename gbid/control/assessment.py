@@ -75,8 +75,8 @@ class PointAssessment:
         Whether this motion is larger than the travel of a stack.
     decay_time_s : float
         Time until the motion of the disc after the impact stays below 5 % of its peak, the longer of x and y [s].
-    sampled_stable : bool
-        Whether the sampled loop is stable.
+    sampled_stable : bool, optional
+        Whether the sampled loop is stable; None without a sample time, and the next two figures are then nan.
     sampled_damping : float
         Smallest damping factor of the sampled loop, with computation time and exact delays, over the modes that last
         longer than a sample.
@@ -101,7 +101,7 @@ class PointAssessment:
     stack_travel_m: float
     exceeds_travel: bool
     decay_time_s: float
-    sampled_stable: bool
+    sampled_stable: bool | None
     sampled_damping: float
     sampled_peak_output: Peak
     plant: str = ""
@@ -161,10 +161,10 @@ class Assessment(Brief):
         Gains by name.
     points : tuple of PointAssessment
         Figures at each operating point, in the given order.
-    sample_time : float
-        Sample time of the sampled loop [s].
+    sample_time : float, optional
+        Sample time of the sampled loop [s]; None for the continuous loop alone.
     computation_s : float
-        Computation time of the sampled loop [s].
+        Computation time of the sampled loop [s]; nan without it.
     method : str
         Method by which the controller was discretised.
     impact : HalfSine
@@ -178,7 +178,7 @@ class Assessment(Brief):
     structure: str
     gains: Mapping[str, float]
     points: tuple[PointAssessment, ...]
-    sample_time: float
+    sample_time: float | None
     computation_s: float
     method: Method
     impact: HalfSine
@@ -187,7 +187,8 @@ class Assessment(Brief):
     def _brief(self) -> Description:
         known = {name: pair for name, pair in self.worst.items() if not isnan(pair[0])}
         worst = {name: f"{value:.5g} at {point.label}" for name, (value, point) in known.items()}
-        loops = {"sampled": self.sampled_stable, "continuous": self.continuous_stable}
+        loops = {} if self.sample_time is None else {"sampled": self.sampled_stable}
+        loops["continuous"] = self.continuous_stable
         verdicts = ", ".join(f"{loop} loop {'' if stable else 'not '}stable" for loop, stable in loops.items())
         about = f"{self.name or self.structure}, {len(self.points)} operating points, {verdicts}"
         return brief(self, about, gains=self.gains, **worst)
@@ -219,8 +220,8 @@ class Assessment(Brief):
 
     @property
     def sampled_stable(self) -> bool:
-        """Whether the sampled loop is stable at all points."""
-        return all(point.sampled_stable for point in self.points)
+        """Whether the sampled loop is stable at all points; false without a sample time."""
+        return all(bool(point.sampled_stable) for point in self.points)
 
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
@@ -267,7 +268,7 @@ def assess(
         Name of the design, for tables; by default that of the structure.
     sample_time : float, optional
         Sample time of the sampled loop [s]. By default that of the result; else 0.2 ms, that of the paper, for an LPV
-        model. There is none for other plants.
+        model. Without one, as for other plants by default, there is the continuous loop alone.
     computation_s : float, optional
         Time from the sample of p to the change of r [s]. By default that of the result, or one sample.
     method : {"tustin", "zoh"}, optional
@@ -286,8 +287,8 @@ def assess(
     Raises
     ------
     UsageError
-        When the model has no actuators or no points, when a point lies outside its domain, when gains do not fit, when
-        nobody said a sample time, or when a plant is none or has other channels than the controller.
+        When the model has no actuators or no points, when a point lies outside its domain, when gains do not fit, or
+        when a plant is none or has other channels than the controller.
     """
     law: Any = controller
     for_sampling = isinstance(controller, GainResult) and controller.sample_time is not None
@@ -303,10 +304,10 @@ def assess(
     if gains is None:
         raise UsageError(f"assess: give the gains of {structure.name!r}, or the result of gbid.tune")
     plants = _plants(model, structure, points, TuneOptions(inputs=inputs, outputs=outputs))
-    if sample_time is None and not isinstance(plants[0].lpv, LPVModel):
-        raise UsageError("assess: give sample_time=, the time between samples of the target in seconds")
-    T = 2e-4 if sample_time is None else sample_time
-    computation, impact = T if computation_s is None else computation_s, impact or HalfSine()
+    T = 2e-4 if sample_time is None and plants[0].lpv is not None else sample_time
+    if T is None and (computation_s is not None or method is not None):
+        raise UsageError("assess: computation_s and method are those of a sampled loop; give sample_time=, too")
+    computation, impact = (nan if T is None else T) if computation_s is None else computation_s, impact or HalfSine()
     if (lpv := plants[0].lpv) is not None:
         impact = impact.on(lpv.machine)
         piezo_travel_m = lpv.machine.piezo_travel_m if piezo_travel_m is None else piezo_travel_m
@@ -372,9 +373,10 @@ def _assess_point(
     def largest(figure: str) -> float:
         return max((float(getattr(response, figure)) for response in impacts), default=nan)
 
-    sampled = sampled_loop(
-        assessed.exact, controller, plan.sample_time, computation_s=plan.computation_s, method=plan.method
-    )
+    sampled = None
+    if plan.sample_time is not None:
+        timing: dict[str, Any] = {"computation_s": plan.computation_s, "method": plan.method}
+        sampled = sampled_loop(assessed.exact, controller, plan.sample_time, **timing)
     stable, stiffness = closed.is_stable(), np.full(len(plant.C), np.nan)
     if stable:
         with nullcontext() if lpv is not None else suppress(UsageError, np.linalg.LinAlgError):
@@ -394,9 +396,9 @@ def _assess_point(
         largest("stack_travel_m"),
         any(response.exceeds_travel for response in impacts),
         largest("decay_time_s"),
-        sampled.stable,
-        sampled.damping,
-        sampled.peak_output,
+        None if sampled is None else sampled.stable,
+        nan if sampled is None else sampled.damping,
+        Peak(nan, nan) if sampled is None else sampled.peak_output,
         "" if lpv is not None else plant.name or "plant",
     )
 
@@ -492,7 +494,8 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
 
 def _conditions(assessment: Assessment) -> tuple[object, ...]:
     points = tuple(point.label for point in assessment.points)
-    return points, assessment.impact, assessment.sample_time, assessment.computation_s, assessment.method
+    timing = () if assessment.sample_time is None else (assessment.sample_time, assessment.computation_s)
+    return points, assessment.impact, timing, assessment.method
 
 
 # ---- Tuned designs and their performance, as they are stored.
@@ -533,7 +536,7 @@ class DesignFigures:
         """Return the numbers of an assessment."""
         points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
-        verdicts = (np.array([getattr(q, name) for q in assessment.points]) for name in _VERDICTS)
+        verdicts = (np.array([bool(getattr(q, name)) for q in assessment.points]) for name in _VERDICTS)
         about = assessment.name, assessment.structure, assessment.gains
         return cls(*about, np.array(points), np.array(figures), *verdicts)
 

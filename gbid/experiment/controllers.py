@@ -397,7 +397,7 @@ def running_controller(
     words = f"controller {controller.name!r}"
     if continuous.D.shape != (2, 2):
         raise UsageError(f"{words} has not two inputs and two outputs, the axes x and y of the rig")
-    sample_time = controller.sample_time
+    sample_time = controller.rate
     if abs(sample_time - needed_time) > 1e-9 * needed_time:
         text = f"sample time is {sample_time:g} s, that of the rig {needed_time:g} s; make it for that"
         raise UsageError(f"{words}: {text}")
@@ -475,7 +475,7 @@ def loop_of(
         return SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
     section = experiment.spec.prefilter
     harmonics = _HARMONICS if section is None or section.harmonics == "auto" else section.harmonics
-    start_s = max(_SHARE_OF_SETTLING * rig.settle_s, controller.design.sample_time)
+    start_s = max(_SHARE_OF_SETTLING * rig.settle_s, controller.design.rate)
     ramps = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
     runout_map = identify_runout([still], harmonics=harmonics)
     chain = export.chain_of(controller.design, name="chain", runout_maps=[runout_map], options=ramps)

@@ -94,7 +94,7 @@ def _law(
             )
         return controller, sample_time(experiment, section) if section.sampled else None
     model = controller.at(*at_point(controller, _conditions(experiment, fit)))
-    running_at = section.sample_time_s or controller.sample_time
+    running_at = section.sample_time_s or controller.rate
     if section.sampled:
         if section.delay_s is not None:
             raise UsageError("delay_s is for a continuous controller; write computation_samples, or sampled: false")

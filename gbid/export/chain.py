@@ -710,7 +710,7 @@ def chain_of(
     return Chain(
         name,
         f"{design.name}: {model.name or 'controller'}{plant}",
-        design.sample_time,
+        design.rate,
         entries,
         outputs,
         states,
@@ -799,7 +799,7 @@ def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point 
             f"controller {design.name!r}{where} is unstable by itself (a pole of magnitude {worst:.6g} in the z "
             "plane); a chain that fades in would run away: tune it with bounds that keep the controller stable"
         )
-    if slow := too_slow_for(design.at() if point is None else design.at(*point), design.sample_time):
+    if slow := too_slow_for(design.at() if point is None else design.at(*point), design.rate):
         raise UsageError(f"controller {design.name!r}{where}: {slow}")
 
 

@@ -274,7 +274,7 @@ def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) 
     )
     every, matrices = symbolic_matrices(over_point)
     A, B, C, D = ca.substitute([matrices.A, matrices.B, matrices.C, matrices.D], [every], [ca.vertcat(*point)])
-    half, eye = design.sample_time / 2.0, ca.SX.eye(A.shape[0])
+    half, eye = design.rate / 2.0, ca.SX.eye(A.shape[0])
     inverse = ca.inv(eye - half * A) if A.shape[0] else eye
     C_sampled = C @ inverse
     return inverse @ (eye + half * A), inverse @ (2.0 * half * B), C_sampled, D + half * C_sampled @ B
@@ -554,11 +554,11 @@ def _unit_controller(
     largest = np.atleast_1d(np.array(limits, float))
     if len(largest) not in (1, len(driven)):
         raise UsageError(f"{path}: {len(largest)} limits for {len(driven)} commands of controller {design.name!r}")
-    computation = design.sample_time if computation_s is None else computation_s
+    computation = design.rate if computation_s is None else computation_s
     if computation == 0 and plant.matrices.D[list(measured), list(driven)].nnz():
         raise UsageError(f"{path}: computation_s = 0, but inputs act on the outputs at once; give a positive time")
     held = tuple(np.broadcast_to(largest, len(driven)).tolist())
-    return UnitController(_controller_step(design), driven, measured, design.sample_time, computation, held)
+    return UnitController(_controller_step(design), driven, measured, design.rate, computation, held)
 
 
 def _domain(path: Path, plant: UnitPlant, controller: ControllerDesign | None) -> Domain | None:

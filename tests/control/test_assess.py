@@ -13,6 +13,8 @@ from gbid.control import MaxDamping, scheduled
 from gbid.control.assessment import FIGURES, DesignFigures, comparison_table, conditions_words
 from gbid.control.controllers.built_in import PStructure
 from gbid.core.errors import UsageError
+from gbid.export import chain_of
+from gbid.structure import LinearModel
 
 MACHINE = gbid.load_model("theisen2016")
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
@@ -157,3 +159,23 @@ def test_a_plant_with_more_channels_is_assessed_as_it_was_tuned() -> None:
     assert "nan" not in str(design)
     with pytest.raises(UsageError, match="an LPV model has r and p"):
         gbid.assess(gbid.load_model("theisen2016"), "P", GAINS, inputs=["r_x"])
+
+
+def test_a_continuous_design_needs_no_sample_time_and_a_loop_without_oscillation_has_damping_one() -> None:
+    lag = LinearModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]], input_names=("r",), output_names=("p",))
+    law = gbid.controller_structure("P", axes=("",), order=0, feedback="negative")
+    result = gbid.tune(lag, law, peak_sensitivity=None)
+    alone, both = gbid.assess(lag, result), gbid.assess(lag, result, sample_time=1e-3)
+    assert result.value == alone.points[0].damping == both.points[0].damping == both.points[0].sampled_damping == 1.0
+    assert alone.sample_time is alone.points[0].sampled_stable is None
+    assert alone.stable
+    assert np.isnan(alone.worst["sampled_damping"][0])
+    assert "sampled damping" not in gbid.compare_designs([alone]).columns
+    assert "sampled damping" in gbid.compare_designs([both]).columns
+    design = result.design(name="lag")
+    assert (design.sample_time, design.at().D.tolist()) == (None, [[-result.gains["kappa"]]])
+    for wanted in (design.sampled_at, lambda: chain_of(design), lambda: gbid.save_controller("lag.yaml", result)):
+        with pytest.raises(UsageError, match="give sample_time"):
+            wanted()
+    with pytest.raises(UsageError, match="computation_s and method are those of a sampled loop"):
+        gbid.assess(lag, result, computation_s=0.0)

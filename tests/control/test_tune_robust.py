@@ -41,6 +41,13 @@ def uncertainty(share: float = 0.02) -> Uncertainty:
 OPTIONS = {"uncertainty": uncertainty(), "operating_points": ONE, "starts": 1}
 
 
+def test_two_gains_are_optimal_for_added_plants_too() -> None:
+    options = {**OPTIONS, "starts": None, "draws": 20, "fresh": 10}
+    robust = tune_robust(MODEL, "P", goals=GOALS, **options)
+    assert robust.plants  # drawn plants were added
+    assert robust.result.status == gbid.tune(MODEL, "P", goals=GOALS, operating_points=ONE).status == "optimal"
+
+
 def test_promise_holds_on_plants_that_nobody_has_seen() -> None:
     robust = tune_robust(MODEL, "P", goals=GOALS, probability=0.9, **OPTIONS, draws=60, fresh=100)
     assert robust.result.success

@@ -56,8 +56,8 @@ class ControllerDesign(Brief):
         Structure of the controller. None for a user-defined structure that was not given when the file was read.
     gains : dict of str to float
         Gains, or coefficients of scheduled gains.
-    sample_time : float
-        Sample time T_s of the sampled controller [s].
+    sample_time : float, optional
+        Sample time T_s of the sampled controller [s]; None for a continuous one, which no file and no target takes.
     method : {"tustin", "zoh"}
         Method of discretisation.
     units : dict of str to str
@@ -80,7 +80,7 @@ class ControllerDesign(Brief):
     name: str
     structure: Structure | Scheduled | None
     gains: Mapping[str, float]
-    sample_time: Positive
+    sample_time: Positive | None = None
     method: Method = "tustin"
     units: Mapping[str, str] = field(default_factory=dict)
     plant: str = ""
@@ -134,14 +134,15 @@ class ControllerDesign(Brief):
         pressure_bar, speed_rpm : float, optional
             As for `at`.
         """
-        return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)
+        return sample_controller(self.at(pressure_bar, speed_rpm), self.rate, self.method)
 
-
-def required_rate(name: str, sample_time: float | None) -> float:
-    """Return the sample time of a controller [s]; an error where nobody said it."""
-    if sample_time is None:
-        raise UsageError(f"controller {name!r}: give sample_time=, the time between samples of the target in seconds")
-    return sample_time
+    @property
+    def rate(self) -> float:
+        """Sample time of the target [s]; an error where nobody said it."""
+        if self.sample_time is None:
+            text = f"controller {self.name!r}: give sample_time=, the time between samples of the target in seconds"
+            raise UsageError(text)
+        return self.sample_time
 
 
 # ---- Schema of a controller file.
@@ -309,7 +310,7 @@ def save_controller(
             name or given.name,
             given,
             {key: float(value) for key, value in gains.items()},
-            required_rate(given.name, sample_time),
+            sample_time,
             method or "tustin",
             {parameter.name: parameter.unit for parameter in given.parameters},
             plant,
@@ -413,7 +414,7 @@ def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> Con
         if isinstance(structure, Scheduled)
         else None,
         gains={key: GainTable(value, design.units[key]) for key, value in design.gains.items()},
-        sampling=SamplingTable(design.sample_time, design.method),
+        sampling=SamplingTable(design.rate, design.method),
         provenance=dict(design.provenance),
         models=tuple(
             ControllerModelTable(
@@ -466,7 +467,7 @@ def _difference(file: YamlFile, design: ControllerDesign, i: int, table: Control
     point = stored.point or ()
     for what, given, expected in (
         ("continuous", design.models[stored.point], design.at(*point)),
-        ("sampled", _model(table, stored.sampled, design.sample_time), design.sampled_at(*point)),
+        ("sampled", _model(table, stored.sampled, design.rate), design.sampled_at(*point)),
     ):
         for letter in "ABCD":
             matrix, computed = getattr(given, letter), getattr(expected, letter)

@@ -113,7 +113,7 @@ def _check_fit(plant: LinearModel, controller: LinearModel) -> None:
 
 
 def smallest_damping(model: LinearModel) -> float:
-    """Return the smallest damping factor over all modes; -1 for an unstable real pole, infinite without modes.
+    """Return the smallest damping factor over all modes; 1 without oscillation, -1 for an unstable real pole.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def smallest_damping(model: LinearModel) -> float:
     if (real >= 0).any():
         return -1.0
     lasting = inf if model.dt is None else 1 / model.dt
-    return min((damping for hz, damping in model.modes() if 2 * pi * hz * damping < lasting), default=inf)
+    return min((damping for hz, damping in model.modes() if 2 * pi * hz * damping < lasting), default=1.0)
 
 
 # ---- Input matrix of a force on the rotor, which acts without delay and actuators (paper, Sec. 5.1).

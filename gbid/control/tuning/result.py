@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from gbid.control.controllers.file import ControllerDesign, required_rate
+from gbid.control.controllers.file import ControllerDesign
 from gbid.control.controllers.structures import Scheduled
 from gbid.control.loop.close import Method
 from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain
@@ -223,7 +223,7 @@ class GainResult(Brief):
         name : str
             Name of the design; by default that of the structure.
         sample_time : float, optional
-            Sample time of the target [s], for a continuous design only.
+            Sample time of the target [s], for a continuous design only; files and targets need it.
         method : {"tustin", "zoh"}, optional
             Method of discretisation, for a continuous design only; by default ``"tustin"``.
         plant : str
@@ -232,8 +232,7 @@ class GainResult(Brief):
         Raises
         ------
         UsageError
-            When the design stabilises nothing, has no structure, or was made for another sample time or method; when
-            a continuous design gets no sample time.
+            When the design stabilises nothing, has no structure, or was made for another sample time or method.
         """
         structure = self.controller
         if self.status is GainStatus.NO_STABILISING_GAINS or structure is None:
@@ -246,7 +245,7 @@ class GainResult(Brief):
             name or structure.name,
             structure,
             dict(self.gains),
-            required_rate(structure.name, self.sample_time if sample_time is None else sample_time),
+            self.sample_time if sample_time is None else sample_time,
             method or self.method or "tustin",
             {parameter.name: parameter.unit for parameter in structure.parameters},
             plant,

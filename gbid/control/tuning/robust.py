@@ -222,7 +222,8 @@ def tune_robust(
         drawn = partial(_drawn_fits, fits)
 
     def design(chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
-        starts = 1 if chosen and given.starts is None else given.starts
+        few = len(structure.parameters) <= 3  # their search begins with a grid over the whole box, in every round
+        starts = 1 if chosen and given.starts is None and not few else given.starts
         options = replace(given, start=start, starts=starts, seed=0)
         plants, options = drawn(options, draws, given.seed, chosen)
         return tuned(plants, structure, options, given.progress)
