@@ -11,7 +11,7 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-quick lint types imports unit test-slow kills fuzz bench pins licences docs release-check clean help
+.PHONY: run paper test test-all test-quick lint types imports unit test-slow kills fuzz bench pins licences docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -35,8 +35,12 @@ $(VENV)/.installed-tools: $(VENV)/.installed
 run: $(VENV)/.installed  ## the main job: rig, prefilter, fit, cross-validate, the picture
 	$(BIN)/gbid run experiments/quickstart.yaml
 
-test: lint imports  ## everything that must hold before a change lands
+test: lint imports  ## everything that must hold before a change lands, but for what `make test-all` adds
 	$(MAKE) --jobs 2 types unit
+
+test-all: MARKED := not slow
+test-all: lint imports  ## the same with the executed pages, the public benchmarks, and runs of benchmarks
+	$(MAKE) --jobs 2 types unit MARKED="$(MARKED)"
 
 lint: $(VENV)/.installed-tools  ## ruff: style and common faults
 	$(BIN)/ruff check .
@@ -51,8 +55,9 @@ imports: $(VENV)/.installed-tools  ## the layers of the house plan
 # Thousands of small files are written through to the disk, which tests wait for. They fit into memory where it has room.
 ROOM = $(shell df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 && $$4 > 2000000 {print "TMPDIR=/dev/shm"}')
 
+MARKED := not slow and not whole
 unit: $(VENV)/.installed-tools  ## the tests, warnings as errors
-	$(ROOM) $(BIN)/pytest -n $(JOBS) --dist worksteal
+	$(ROOM) $(BIN)/pytest -n $(JOBS) --dist worksteal -m "$(MARKED)"
 
 # The heart: a recording, its fit, surfaces, gains, and one experiment through the command line.
 QUICK := tests/house tests/recording/test_recording.py tests/recording/test_recording_store.py tests/identify/test_fit.py \

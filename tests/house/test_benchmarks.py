@@ -21,6 +21,7 @@ from tests.benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Sampl
 STORED = DOCS / "benchmarks.json"
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler to measure")
 def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     in_a_process = fit_speed._ask
@@ -48,6 +49,7 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     assert run["n_unknowns"] == N_UNKNOWNS == 24
 
 
+@pytest.mark.whole
 def test_campaign_of_a_few_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stored = tmp_path / "speed.json"
     other = {"fits": 5000}
@@ -77,6 +79,7 @@ def test_stored_run_is_whole_and_names_no_machine() -> None:
     assert all(abs(fit["loss"] / gbid_loss[fit["n_samples"]] - 1) < 1e-6 for fit in run["fits"])
 
 
+@pytest.mark.whole
 def test_growth_with_size_has_all_sizes_and_the_exponents_of_its_times(monkeypatch: pytest.MonkeyPatch) -> None:
     run = json.loads((DOCS / "scaling.json").read_text(encoding="utf-8"))
     assert {name: tuple(map(int, times)) for name, times in run["times_s"].items()} == scaling.SIZES

@@ -228,6 +228,7 @@ def _lag(p: Any) -> dict[str, Any]:
     return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]], **delayed}
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", [p for p in PAGES if cells(p)], ids=relative)
 def test_code_cells_run(path: Path, tmp_path: Path) -> None:
     """All cells of a page in order, in a process of their own, warnings as errors; the build shows what they print."""

@@ -17,6 +17,7 @@ import gbid
 from gbid.structure import nonlinear_model
 from tests.benchmarks import public
 
+pytestmark = pytest.mark.whole
 STORED = json.loads((DOCS / "public-benchmarks.json").read_text(encoding="utf-8"))
 
 
