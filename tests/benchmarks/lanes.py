@@ -41,7 +41,7 @@ _WORDS = {
 }
 
 
-class Call(NamedTuple):
+class CompiledCall(NamedTuple):
     """Call of a compiled function, with its source and flags."""
 
     source: str
@@ -51,10 +51,10 @@ class Call(NamedTuple):
     results: Sequence[np.ndarray[Any, Any] | None]
 
 
-def calls() -> dict[str, Call]:
+def calls() -> dict[str, CompiledCall]:
     """Return the last call of each function of `_WORDS` in three fits."""
     sources: dict[int, tuple[str, tuple[str, ...]]] = {}
-    last: dict[str, Call] = {}
+    last: dict[str, CompiledCall] = {}
 
     def loaded(source: str, flags: tuple[str, ...] = FLAGS) -> Any:
         library = load_library(source, flags)
@@ -64,7 +64,7 @@ def calls() -> dict[str, Call]:
 
     def run(function: Any, sizes: Sequence[int], arrays: Sequence[Any], results: Sequence[Any]) -> None:
         if (name := function.__name__) in _WORDS:
-            last[name] = Call(*sources[id(function)], sizes, arrays, results)
+            last[name] = CompiledCall(*sources[id(function)], sizes, arrays, results)
         run_compiled(function, sizes, arrays, results)
 
     recording, nonlinear = make_samples(_SAMPLES).recording(), film_recording(_SAMPLES)
@@ -91,7 +91,7 @@ def compilers() -> dict[str, Compiler]:
     return found
 
 
-def times(name: str, call: Call, folder: Path) -> dict[str, float]:
+def times(name: str, call: CompiledCall, folder: Path) -> dict[str, float]:
     """Return the shortest processor time of a function by variant [s]; all run in turn."""
     functions = {}
     for compiler_name, compiler in compilers().items():
