@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
@@ -93,8 +93,18 @@ def init(
     signal: Annotated[list[str] | None, _drafting("columns of r, u, p or phi", "NAME=X,Y")] = None,
     time: Annotated[str | None, _drafting("column of the sample times", "COLUMN")] = None,
     sample_time: Annotated[float | None, _drafting("time between samples", "S")] = None,
-    unit: Annotated[str | None, _drafting("unit of positions whose file states none")] = None,
+    unit: Annotated[list[str] | None, _drafting("unit of positions whose file states none", "UNIT|NAME=UNIT")] = None,
+    calibration: Annotated[list[str] | None, _drafting("points of a sheet and their unit", "X='0:0 10:125 um'")] = None,
+    time_unit: Annotated[str | None, _drafting("unit of the sample times")] = None,
     pattern: Annotated[str | None, _drafting("pattern of the file names")] = None,
+    kind: Annotated[list[str] | None, _drafting("kind of files with a word in their name", "WORD=KIND")] = None,
+    skip_broken: Annotated[
+        bool, typer.Option("--skip-broken", help="Leave out broken files and dead channels.")
+    ] = False,
+    encoding: Annotated[str | None, _drafting("encoding")] = None,
+    decimal: Annotated[str | None, _drafting("decimal sign")] = None,
+    delimiter: Annotated[str | None, _drafting("character between cells")] = None,
+    header_line: Annotated[int | None, _drafting("number of the line with the names; 0 for none")] = None,
     from_s: Annotated[float | None, _drafting("begin of the part to use", "S")] = None,
     to_s: Annotated[float | None, _drafting("end of the part to use", "S")] = None,
     pressure: Annotated[float | None, _drafting("pressure of all files", "BAR")] = None,
@@ -107,39 +117,59 @@ def init(
     """Draft an experiment for a gas bearing from the files of a folder, and ask for all that they do not say."""
     from gbid.cli.printing import tell
     from gbid.cli.templates import refuse_used, write_draft
-    from gbid.experiment.draft import DraftOptions
+    from gbid.experiment.draft import DraftOptions, calibration_of
+    from gbid.experiment.schema import Kind
     from gbid.lpv import MachineData
+    from gbid.recording.mapping import TextOptions
     from gbid.recording.roles import ROLES
 
     folder = folder or Path(f"{measured.resolve().name}-experiment")
     refuse_used(folder)
+    layout: Any = (encoding, decimal, delimiter, header_line)
+    units = dict(_pair("--unit", text) for text in unit or () if "=" in text)
+    kinds = dict(_pair("--kind", text) for text in kind or ())
+    if wrong := [text for text in kinds.values() if text not in get_args(Kind)]:
+        raise UsageError(f"--kind: {wrong[0]!r} is no kind; choose from {', '.join(get_args(Kind))}")
     drafted = DraftOptions(
         measured,
-        {},
-        time,
-        sample_time,
-        unit,
-        pattern,
-        from_s,
-        to_s,
-        pressure,
-        speed,
-        controller,
-        MachineData(
+        time=time,
+        sample_time=sample_time,
+        unit=next((text for text in unit or () if "=" not in text), None),
+        units=units,
+        calibrations=dict(calibration_of(text) for text in calibration or ()),
+        time_unit=time_unit,
+        text=TextOptions(*layout),
+        pattern=pattern,
+        from_s=from_s,
+        to_s=to_s,
+        pressure_bar=pressure,
+        speed_rpm=speed,
+        kinds=cast("dict[str, Kind]", kinds),
+        skip_broken=skip_broken,
+        controller=controller,
+        machine=MachineData(
             moving_mass,
             *(None if value is None else float(f"{1e-6 * value:.12g}") for value in (travel, clearance)),
         ),
         ask=sys.stdin.isatty(),
     )
     for text in signal or ():
-        name, _, columns = text.partition("=")
-        if name.strip() not in ROLES:
+        name, columns = _pair("--signal", text)
+        if name not in ROLES:
             raise UsageError(f"--signal: expected r, u, p or phi with its columns, as p=X,Y; found {text!r}")
-        drafted = drafted.answered(name.strip(), columns)
+        drafted = drafted.answered(name, columns)
     draft = _drafted(drafted, folder)
     written = write_draft(draft.text, folder)
     tell("\n".join(draft.columns))
     _print_written(written, folder, "check", "run", draft.notes)
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    """Return the name and the value of an option of the form NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"{option}: expected NAME=VALUE; found {text!r}")
+    return name.strip(), value.strip()
 
 
 def _print_written(written: Sequence[Path], folder: Path, first: str, then: str, notes: Sequence[str] = ()) -> None:
@@ -178,7 +208,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
     from gbid.cli.printing import tell
     from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment, list_folder
 
-    content = list_folder(options.folder)  # read once, however many answers it takes
+    content = list_folder(options)  # read once, however many answers it takes
     while True:
         try:
             return draft_experiment(options, target, _asked_machine if options.ask else None, content)

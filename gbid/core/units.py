@@ -228,6 +228,11 @@ def is_speed_unit(word: str) -> bool:
     return False
 
 
+def is_ambiguous(word: str) -> bool:
+    """Return whether loggers use a word for several units."""
+    return word.strip() in _SEVERAL
+
+
 def is_unit(word: str) -> bool:
     """Return whether a word is written as a unit, if only as one of several; an empty word is dimensionless."""
     try:

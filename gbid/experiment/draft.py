@@ -15,11 +15,20 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from gbid.core.arrays import point_label
-from gbid.core.errors import DataError, UsageError, nearest
-from gbid.core.units import conversion_factor, is_speed_unit
+from gbid.core.arrays import FloatArray, point_label
+from gbid.core.errors import DataError, GbidError, UsageError, nearest
+from gbid.core.units import conversion_factor, is_speed_unit, is_unit
 from gbid.experiment.experiment import POINT, by_count
-from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
+from gbid.experiment.schema import (
+    KINDS,
+    Kind,
+    NamesRead,
+    factor_or_zero,
+    name_of,
+    name_pattern,
+    read_names,
+    tokens_of,
+)
 from gbid.lpv import MachineData
 from gbid.lpv.estimates import order_words, possible_order
 from gbid.prefilter.filtering import repair_overloads
@@ -28,7 +37,8 @@ from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording
 from gbid.recording.formats import file_formats, format_of, format_of_ending
 from gbid.recording.importing import import_recording, list_channels
-from gbid.recording.quality import speed_change, turning_increments
+from gbid.recording.mapping import Calibration, TextOptions
+from gbid.recording.quality import BLOCK, FEW_LEVELS, speed_change, turning_increments
 from gbid.recording.readers import FileChannel
 from gbid.recording.roles import ROLES, Roles, column_lines, find_roles
 
@@ -41,6 +51,7 @@ QUESTIONS = {
     "phi": "column of the shaft angle; nothing for none",
     "time": "column of the sample times",
     "unit": "unit of the positions in the files, such as um",
+    "calibration": "numbers in the file and values of a column, with their unit, such as X=0:0 10:125 um",
     "pressure_bar": "injection pressure of all files [bar]",
     "speed_rpm": "rotational speed of all files [rpm]",
 }
@@ -61,19 +72,43 @@ class UnansweredError(UsageError):
         Why each option is open.
     columns : sequence of str
         Lines of the table of columns.
+    broken : sequence of str
+        Lines on files that cannot be read.
     """
 
-    def __init__(self, reasons: Mapping[str, str], columns: Sequence[str]) -> None:
+    def __init__(self, reasons: Mapping[str, str], columns: Sequence[str], broken: Sequence[str] = ()) -> None:
         self.reasons = {option: reasons[option] for option in QUESTIONS if option in reasons}
         self.columns = tuple(columns)
         texts = [f"{why}; give the {QUESTIONS[option]}: {_flag(option)}" for option, why in self.reasons.items()]
-        super().__init__("\n".join(texts))
+        super().__init__("\n".join([*texts, *broken]))
 
 
 def _flag(option: str) -> str:
     if option in ROLES:
         return f"--signal {option}={'X' if option == 'phi' else 'X,Y'}"
-    return f"--{option.split('_')[0]} ..."
+    return "--calibration 'X=0:0 10:125 um'" if option == "calibration" else f"--{option.split('_')[0]} ..."
+
+
+def calibration_of(text: str) -> tuple[str, tuple[Calibration, str]]:
+    """Return the column, the calibration and its unit from a text such as ``X=0:0 10:125 um``.
+
+    Raises
+    ------
+    UsageError
+        When the text has another form.
+    """
+    column, _, sheet = text.rpartition("=")
+    *pairs, unit = sheet.split() or [""]
+    try:
+        points = tuple((float(a), float(b)) for a, b in (pair.replace(",", ".").split(":") for pair in pairs))
+        known = Calibration(points) if column and is_unit(unit) and not unit[:1].isdigit() else None
+    except ValueError as error:
+        raise UsageError(f"--calibration: {text!r}: {error}") from None
+    if known is None:
+        raise UsageError(
+            f"--calibration: expected a column with its points and their unit, X=0:0 10:125 um; found {text!r}"
+        )
+    return column.strip(), (known, unit)
 
 
 @dataclass(frozen=True)
@@ -93,12 +128,24 @@ class DraftOptions:
         Time between samples [s].
     unit : str or None
         Unit of positions in files that state none.
+    units : dict of str to str
+        Units by signal.
+    calibrations : dict of str to (Calibration, str)
+        Calibrations by column, with the unit of the calibrated values.
+    time_unit : str or None
+        Unit of the time column.
+    text : TextOptions
+        Layout of text files.
     pattern : str or None
         Pattern of the file names.
     from_s, to_s : float or None
         Part of each file to use [s].
     pressure_bar, speed_rpm : float or None
         Operating point of all files, where the names do not contain it.
+    kinds : dict of str to str
+        Kinds of recordings by words in the names of their files; the kind of others is found in their signals.
+    skip_broken : bool
+        Whether files that cannot be read or have a dead channel are left out.
     controller : str
         Structure of the controller.
     machine : gbid.lpv.MachineData
@@ -112,11 +159,17 @@ class DraftOptions:
     time: str | None = None
     sample_time: float | None = None
     unit: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    calibrations: Mapping[str, tuple[Calibration, str]] = field(default_factory=dict)
+    time_unit: str | None = None
+    text: TextOptions = field(default_factory=TextOptions)
     pattern: str | None = None
     from_s: float | None = None
     to_s: float | None = None
     pressure_bar: float | None = None
     speed_rpm: float | None = None
+    kinds: Mapping[str, Kind] = field(default_factory=dict)
+    skip_broken: bool = False
     controller: str = "P"
     machine: MachineData = field(default_factory=MachineData)
     ask: bool = False
@@ -136,12 +189,19 @@ class DraftOptions:
                 raise UsageError(f"{option}: expected the {QUESTIONS[option]}; found {text!r}")
             added = (*self.signals.get(option, ()), names) if names else ()
             option, value = "signals", {**self.signals, option: added}
+        elif option == "calibration":
+            option, value = "calibrations", {**self.calibrations, **dict([calibration_of(text)])}
         elif option in POINT:
             try:
                 value = float(text.replace(",", "."))
             except ValueError:
                 raise UsageError(f"{option}: expected a number, found {text!r}") from None
         return replace(self, **{option: value})
+
+    def text_of(self, path: Path) -> TextOptions | None:
+        """Return the given layout for a text file, None for a file of another kind."""
+        kind = format_of(path)
+        return self.text if kind is not None and kind.layout is not None else None
 
 
 # ---- Survey of a folder of measured files: their channels, and how they are read.
@@ -161,6 +221,8 @@ class MeasuredFile:
         Columns by signal.
     units : dict of str to str
         Units that the mapping must state, by signal, because the file does not.
+    calibrations : dict of str to tuple of Calibration
+        Calibration of each column, by signal.
     sources : dict of str to str
         Columns that measure the operating point, as far as the name of the file does not contain it.
     """
@@ -169,6 +231,7 @@ class MeasuredFile:
     time: str | None
     signals: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str]
+    calibrations: Mapping[str, tuple[Calibration, ...]]
     sources: Mapping[str, str]
 
 
@@ -182,16 +245,19 @@ class FolderContent:
         Channels by file.
     unread : dict of pathlib.Path to DataError
         Errors of text files without a table.
+    broken : dict of pathlib.Path to DataError
+        Errors of files with the ending of a format.
     others : tuple of str
-        Names of files of other kinds.
+        Names of files of other kinds, and of those that macOS writes beside files (``._name``).
     """
 
     channels: Mapping[Path, Sequence[FileChannel]]
     unread: Mapping[Path, DataError]
+    broken: Mapping[Path, DataError]
     others: tuple[str, ...]
 
 
-def list_folder(folder: Path) -> FolderContent:
+def list_folder(options: DraftOptions) -> FolderContent:
     """Return the files of a folder with their channels.
 
     Raises
@@ -199,18 +265,40 @@ def list_folder(folder: Path) -> FolderContent:
     UsageError
         When the folder holds no file that can be imported.
     DataError
-        When a file cannot be read.
+        When no file can be read.
     """
+    folder = options.folder
     if not folder.is_dir():
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
     listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    known = [path for path in listed if format_of_ending(path.suffix.lower())]
-    channels, unread = ({path: list_channels(path) for path in known}, {}) if known else _tables_among(listed)
-    if unread and not channels:
-        raise next(iter(unread.values()))
+    measured = [path for path in listed if not path.name.startswith("._")]
+    known = [path for path in measured if format_of_ending(path.suffix.lower())]
+    channels, errors = {}, {}
+    for path in known or filter(format_of, measured):
+        try:
+            channels[path] = list_channels(path, options.text_of(path))
+        except DataError as error:
+            errors[path] = error
+    if not channels and errors:
+        raise DataError("\n".join(_in_options(str(error)) for error in errors.values()))
     if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
-    return FolderContent(channels, unread, tuple(p.name for p in listed if p not in channels and p not in unread))
+    others = tuple(path.name for path in listed if path not in channels and path not in errors)
+    return FolderContent(channels, {} if known else errors, errors if known else {}, others)
+
+
+def _in_options(text: str) -> str:
+    """Return a message with the options of `gbid init` in place of keys of the YAML."""
+    keys = r"\b(decimal|encoding|delimiter|header_line|time_unit): "
+    text = re.sub(keys, lambda key: f"--{key[1].replace('_', '-')} ", text)
+    return text.replace("sample_time_s", "--sample-time")
+
+
+def _broken_in_words(errors: Mapping[Path, GbidError]) -> list[str]:
+    """Return a line for each file that cannot be used, and one with the way out where there is one."""
+    lines = [_in_options(str(error)) for error in errors.values()]
+    count = sum(isinstance(error, DataError) for error in errors.values())
+    return [*lines, f"{count} of these files can be left out: --skip-broken"] if count else lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +335,7 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
     roles = {path: find_roles(each, *_given(options, each)) for path, each in channels.items()}
     units: dict[str, str] = {}  # of each signal in the first file that states one
     for path, each in channels.items():
-        stated = {channel.name: channel.unit for channel in each if channel.unit}
+        stated = {channel.name: channel.unit for channel in each if channel.unit and is_unit(channel.unit)}
         units = {s: stated[columns[0]] for s, columns in roles[path].signals.items() if columns[0] in stated} | units
     reasons: dict[str, str] = {}
     files = []
@@ -259,21 +347,8 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
                 reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {listed}")
         if role.time is None and options.sample_time is None:
             reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
-        with_unit = {channel.name for channel in each if channel.unit}
-        given = {}  # units that the mapping has to state: as given, or as in the other files
-        for signal in dict.fromkeys((*role.signals, "u", "p")):
-            chosen = role.signals.get(signal)
-            if with_unit.intersection(chosen or [name for name, (taken, _) in role.columns.items() if not taken]):
-                continue
-            is_angle = signal == "phi"
-            unit = units.get(signal, "") if is_angle else options.unit or units.get(signal)
-            if unit is None:
-                reasons.setdefault("unit", f"{path}: the file states no unit of {signal}")
-            elif chosen:
-                if unit:
-                    conversion_factor(unit, "rad" if is_angle else "m")
-                given[signal] = unit
-        files.append(MeasuredFile(path, role.time, role.signals, given, {}))
+        given, calibrated = _stated_units(options, path, each, role, units, reasons)
+        files.append(MeasuredFile(path, role.time, role.signals, given, calibrated, {}))
     names = _names(options, files)
     for i, file in enumerate(files):
         missing = [key for key, value in _conditions(options, names, file.path).items() if value is None]
@@ -284,7 +359,7 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
     columns = column_lines(roles)
     optional = {key: why for key, why in reasons.items() if key in OPTIONAL}
     if len(reasons) > len(optional) or (optional and options.ask):
-        raise UnansweredError(reasons, columns)
+        raise UnansweredError(reasons, columns, [] if options.skip_broken else _broken_in_words(content.broken))
     notes = tuple(f"{why}; {OPTIONAL[key]}: {_flag(key)}" for key, why in optional.items())
     notes += tuple(f"left out: {error}" for error in content.unread.values())
     return Survey(tuple(files), columns, notes)
@@ -294,20 +369,68 @@ def _sources(channels: Sequence[FileChannel], roles: Roles) -> dict[str, str]:
     """Return the columns that measure the operating point: the only one with such a unit, for the speed also phi."""
     unused = [channel for channel in channels if not channel.remark and not roles.columns[channel.name][0]]
     speeds = [channel.name for channel in unused if is_speed_unit(channel.unit or "")]
-    pressures = [channel.name for channel in unused if (channel.unit or "").lower() in _PRESSURES]
+    pressures = [channel.name for channel in unused if factor_or_zero(channel.unit or "", "bar")]
     columns = {"pressure_bar": pressures, "speed_rpm": speeds or list(roles.signals.get("phi", ()))}
     return {key: names[0] for key, names in columns.items() if len(names) == 1}
 
 
-def _tables_among(listed: Sequence[Path]) -> tuple[dict[Path, list[FileChannel]], dict[Path, DataError]]:
-    """Return the channels of files without a known ending, and the errors of those without a table."""
-    channels, unread = {}, {}
-    for path in filter(format_of, listed):
-        try:
-            channels[path] = list_channels(path)
-        except DataError as error:
-            unread[path] = error
-    return channels, unread
+def _stated_units(
+    options: DraftOptions,
+    path: Path,
+    channels: Sequence[FileChannel],
+    role: Roles,
+    units: Mapping[str, str],
+    reasons: dict[str, str],
+) -> tuple[dict[str, str], dict[str, tuple[Calibration, ...]]]:
+    """Return units and calibrations that the mapping of a file states; add what must be given to the reasons.
+
+    Parameters
+    ----------
+    options : DraftOptions
+        What is given.
+    path : pathlib.Path
+        The file.
+    channels : sequence of FileChannel
+        Its channels.
+    role : Roles
+        Roles of the channels.
+    units : dict of str to str
+        Units by signal in the other files.
+    reasons : dict of str to str
+        Why each option is open.
+    """
+    stated = {channel.name: channel.unit for channel in channels if channel.unit}
+    names = [channel.name for channel in channels]
+    sheets = {c[0]: known for name, known in options.calibrations.items() if (c := _columns_in((name,), names))}
+    given: dict[str, str] = {}
+    calibrated: dict[str, tuple[Calibration, ...]] = {}
+    for signal in dict.fromkeys((*role.signals, "u", "p")):
+        chosen, is_angle = role.signals.get(signal), signal == "phi"
+        unit = options.units.get(signal, units.get(signal, "") if is_angle else options.unit or units.get(signal))
+        if chosen and (sheet := next((sheets[column][1] for column in chosen if column in sheets), None)):
+            given[signal] = sheet
+            factors = [conversion_factor(stated.get(c, unit or ""), sheet) if c not in sheets else 1.0 for c in chosen]
+            lines = [Calibration(((0.0, 0.0), (1.0, factor))) for factor in factors]
+            calibrated[signal] = tuple(sheets[c][0] if c in sheets else q for c, q in zip(chosen, lines, strict=True))
+            continue
+        named = chosen or [name for name, (taken, _) in role.columns.items() if not taken]
+        known = [column for column in named if is_unit(stated.get(column) or "?")]
+        for column in known if chosen and signal not in options.units else ():
+            try:
+                conversion_factor(stated[column] or "", "rad" if is_angle else "m")
+            except UsageError as error:
+                text = f"{path}: column {column!r} of {signal}: {error}"
+                reasons.setdefault("unit" if "may be" in str(error) else "calibration", text)
+        if known and signal not in options.units:
+            continue
+        if unit is None:
+            said = [f"{column!r} states {stated[column]!r}, which is no unit" for column in named if column in stated]
+            reasons.setdefault("unit", f"{path}: {said[0] if said else f'the file states no unit of {signal}'}")
+        elif chosen:
+            if unit:
+                conversion_factor(unit, "rad" if is_angle else "m")
+            given[signal] = unit
+    return given, calibrated
 
 
 def _refuse_unknown(options: DraftOptions, channels: Mapping[Path, Sequence[FileChannel]]) -> None:
@@ -352,133 +475,6 @@ def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]
 
 def _as_variable(name: str) -> str:
     return re.sub(r"[^\w.]", "_", name)
-
-
-# ---- Operating point and kind of recordings from the names of their files.
-
-_COMMA = re.compile(r"(?<=\d),(?=\d)")
-_UNIT_WITH_SIGNS = (
-    r"(?<![^\W\d_])(?:1|u|r|revs?|tr|umdr)[\W_](?:p(?:er|ro)[\W_])?min(?![^\W\d_])|(?<![^\W\d_])min[\W_]{1,2}1(?!\d)"
-)
-_TOKEN = re.compile(rf"{_UNIT_WITH_SIGNS}|\d+(?:\.\d+)?|[^\W\d_]+|[\W_]", re.IGNORECASE)
-_BEFORE = {  # words before the number
-    "pressure_bar": {"p", "ps", "psup", "druck", "pressure", "press", "bar"},
-    "speed_rpm": {"n", "drehzahl", "speed", "rpm", "upm", "omega", "om"},
-}
-_PRESSURES = {"bar": 1.0, "mbar": 1e-3, "kpa": 1e-2, "mpa": 10.0, "psi": 0.0689475729}  # in bar
-_TURNS = ("u", "umdr", "umdrehungen", "rev", "revs", "giri", "tr")
-_SPEEDS = {**dict.fromkeys(_TURNS, 1.0), "krpm": 1e3, "rps": 60.0}  # in rpm
-_TURNS_A_MINUTE = {"rpm", "upm", "1min", "min1", "rmin", *(f"{turn}min" for turn in _TURNS)}
-_THOUSANDS = re.compile(r"\d{1,3}\.\d{3}")  # 4.200 rpm: decimals or a thousands sign
-
-
-@dataclass(frozen=True)
-class NamesRead:
-    """Pattern that the names of files have in common.
-
-    Attributes
-    ----------
-    pattern : NamePattern
-        The pattern.
-    tells_kind : bool
-        Whether a single word differs between the files, which may be their kind.
-    commas : bool
-        Whether the names have decimal commas, which a pattern cannot read.
-    factors : dict of str to float
-        Factors of fields in other units, which a pattern cannot read either.
-    """
-
-    pattern: NamePattern
-    tells_kind: bool
-    commas: bool = False
-    factors: Mapping[str, float] = field(default_factory=dict)
-
-    def read(self, file: str) -> dict[str, str | float] | None:
-        """Return the fields of a file name, with decimal points or commas; None when it does not match."""
-        fields = self.pattern.read(_COMMA.sub(".", file) if self.commas else file)
-        factors = self.factors if fields else {}
-        return fields and {**fields, **{key: float(f"{float(fields[key]) * f:.12g}") for key, f in factors.items()}}
-
-
-def read_names(files: Sequence[str]) -> NamesRead | None:
-    """Return the pattern of file names of one form: equal words and signs, with numbers that may differ.
-
-    A number before ``bar`` or after ``p`` is the pressure, one before ``rpm``, ``Umin``, ``1-min`` or after ``n`` the
-    speed. One word may differ between the files.
-
-    Parameters
-    ----------
-    files : sequence of str
-        Names of the files with the same ending.
-
-    Returns
-    -------
-    NamesRead or None
-        None when the names have different forms.
-    """
-    split = [_TOKEN.findall(_COMMA.sub(".", file.rpartition(".")[0])) for file in files]
-    if len({tuple(map(_form, tokens)) for tokens in split}) != 1:
-        return None
-    parts: list[str] = []
-    words: list[str] = []
-    factors: dict[str, float] = {}
-    quantities = _quantities(split[0])
-    for i, column in enumerate(zip(*split, strict=True)):
-        token, differs = column[0], len(set(column)) > 1
-        quantity, factor = quantities.get(i, ("nr" if _form(token) == "number" else "", 1.0))
-        if quantity == "speed_rpm" and any(map(_THOUSANDS.fullmatch, column)):
-            quantity = "nr"
-        if quantity and quantity not in factors and (quantity != "nr" or differs):
-            factors[quantity] = factor
-            integers = quantity != "pressure_bar" and all(each.isdigit() for each in column)
-            parts.append(f"{{{quantity}:{'d' if integers else 'g'}}}")
-        elif not differs:
-            parts.append(token)
-        elif quantity:
-            parts.append(f"{{part{i}}}")
-        else:
-            words.append(f"word{i}" if words else "kind")
-            parts.append(f"{{{words[-1]}}}")
-    text = "".join(parts) + "." + files[0].rpartition(".")[2]
-    others = {key: factor for key, factor in factors.items() if factor != 1.0}
-    return NamesRead(name_pattern(text), len(words) == 1, any(_COMMA.search(file) for file in files), others)
-
-
-def _form(token: str) -> str:
-    if re.fullmatch(r"[\d.]+", token):
-        return "number"
-    return "word" if token[0].isalnum() else token
-
-
-def _quantities(tokens: Sequence[str]) -> dict[int, tuple[str, float]]:
-    """Return the quantities of the numbers among the tokens of a name, with the factor to its unit, by their places.
-
-    A word is the unit of the number before it, unless it is joined to the one behind it, or that before it is joined to
-    a word of its own: V1 rpm4200.
-    """
-    quantities: dict[int, tuple[str, float]] = {}
-    places = [k for k, token in enumerate(tokens) if token[0].isalnum()]
-    numbers = {k for k in places if _form(tokens[k]) == "number"}
-    for at, k in enumerate(places):
-        word = tokens[k].lower()
-        left, right = ({places[j]} & numbers if 0 <= j < len(places) else set() for j in (at - 1, at + 1))
-        joined = bool(left) and k - 1 in left
-        is_labelled = bool(right) and any(j - 1 in places for j in left)
-        unit = _unit(word, joined)
-        if unit and (left - quantities.keys()) and (joined or not (k + 1 in numbers or is_labelled)):
-            quantities[min(left)] = unit
-        elif right:
-            quantities |= {min(right): (q, 1.0) for q, words in _BEFORE.items() if word in words}
-    return quantities
-
-
-def _unit(word: str, joined: bool) -> tuple[str, float] | None:
-    """Return the quantity of a unit and its factor; a single letter is one right behind a number only."""
-    if word in _PRESSURES:
-        return "pressure_bar", _PRESSURES[word]
-    if re.sub(r"[\W_]|per|pro", "", word) in _TURNS_A_MINUTE or (word in _SPEEDS and (len(word) > 1 or joined)):
-        return "speed_rpm", _SPEEDS.get(word, 1.0)
-    return None
 
 
 # ---- What the recordings of a folder say about an experiment: operating points, kinds, junk, and harmonics of run-out.
@@ -528,6 +524,8 @@ class DraftData:
         What a map leaves over at each operating point, or why nothing can be compared.
     notes : tuple of str
         What was found and assumed.
+    skipped : tuple of str
+        Names of the files that are left out.
     """
 
     files: tuple[DraftedFile, ...]
@@ -537,41 +535,90 @@ class DraftData:
     harmonics: int | None
     runout: tuple[str, ...]
     notes: tuple[str, ...]
+    skipped: tuple[str, ...]
 
 
-def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData:
+def read_data(
+    options: DraftOptions, files: Sequence[MeasuredFile], broken: Mapping[Path, DataError] | None = None
+) -> DraftData:
     """Return what measured files say.
+
+    Parameters
+    ----------
+    options : DraftOptions
+        What is given.
+    files : sequence of MeasuredFile
+        The files.
+    broken : dict of pathlib.Path to DataError, optional
+        Errors of further files.
 
     Raises
     ------
     DataError
-        When a file cannot be imported.
+        With a line for each file that cannot be imported or has a dead channel, unless these are skipped.
+    UsageError
+        Likewise, when a unit that is given does not fit.
     """
     names = _names(options, files)
     files, angles = _angle_units(options, files)
-    recordings = [_import(options, file, _point(options, names, file)) for file in files]
+    errors: dict[Path, GbidError] = dict(broken or {})
+    made: dict[Path, Recording] = {}
+    for file in files:
+        try:
+            made[file.path] = _import(options, file, _point(options, names, file))
+            _refuse_dead(file, made[file.path])
+        except GbidError as error:
+            errors[file.path] = error
+    usage = any(isinstance(error, UsageError) for error in errors.values())
+    left = [file for file in files if file.path not in errors]
+    if errors and (usage or not options.skip_broken or not left):
+        raise (UsageError if usage else DataError)("\n".join(_broken_in_words(errors)))
+    files, recordings = left, [made[file.path] for file in left]
     part, notes = _part(options, recordings)
-    notes += [*angles, *_notes_on_points(files, recordings)]
+    notes += [*angles, *_notes_on_points(files, recordings), *(f"left out: {error}" for error in errors.values())]
     drafted = []
     for file, rec in zip(files, recordings, strict=True):
         first = round(part.get("from_s", 0.0) / rec.sample_time)
         last = round(part["to_s"] / rec.sample_time) if "to_s" in part else rec.n_samples
         used = rec.slice(min(first, rec.n_samples - 1), min(last, rec.n_samples))
-        drafted.append(DraftedFile(**vars(file), recording=used, kind="excited" if _moves(used) else "stationary"))
+        tokens = [token.lower() for token in tokens_of(file.path.stem)]
+        given = [kind for word, kind in options.kinds.items() if word.lower() in tokens]
+        kind = given[0] if given else "excited" if _moves(used) else "stationary"
+        drafted.append(DraftedFile(**vars(file), recording=used, kind=kind))
     points = {tuple(rec.conditions[key] for key in file.sources) for file, rec in zip(files, recordings, strict=True)}
-    listed_alone = names is None or names.commas or names.factors or len(points) > 1
+    listed_alone = names is None or names.factors or len(points) > 1
     kinds = None if names is None or listed_alone else _kinds(names, drafted)
     harmonics, words = find_harmonics(drafted)
     notes += [*_remarks(recordings), *words]
     known = None if kinds is None else names
-    return DraftData(tuple(drafted), known, kinds or {}, part, harmonics, words, tuple(notes))
+    skipped = tuple(path.name for path in errors)
+    return DraftData(tuple(drafted), known, kinds or {}, part, harmonics, words, tuple(notes), skipped)
+
+
+def _refuse_dead(file: MeasuredFile, rec: Recording) -> None:
+    """Refuse a disc position that stays at one value, or is at its limit for a fifth of the time."""
+    for column, values in zip(file.signals["p"], rec.signal("p").T, strict=True):
+        levels, counts = np.unique(values, return_counts=True)
+        share = max(counts[0], counts[-1]) / len(values)
+        if len(levels) == 1 or (len(levels) > FEW_LEVELS and share > _DEAD):
+            level = levels[int(np.argmax(counts))]
+            raise DataError(f"{file.path}: column {column!r} is dead: {share:.0%} of its samples are {level:g} m")
+
+
+_DEAD = 0.2  # share of the samples at the largest or smallest value
 
 
 def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, float]) -> Recording:
-    times = {"sample_time_s": options.sample_time} if options.sample_time else {"time": file.time}
-    units = {name: {"unit": unit} for name, unit in file.units.items()}
-    signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
-    return repair_overloads(import_recording(file.path, {**times, "signals": signals, "conditions": conditions}))
+    times: dict[str, Any] = {"sample_time_s": options.sample_time} if options.sample_time else {"time": file.time}
+    times |= {"time_unit": options.time_unit} if options.time_unit and not options.sample_time else {}
+    text = options.text_of(file.path)
+    layout = {key: getattr(text, key) for key in text.given()} if text else {}
+    signals = {}
+    for name, columns in file.signals.items():
+        more = {"unit": file.units[name]} if name in file.units else {}
+        signals[name] = {"columns": list(columns), **more, "calibration": file.calibrations.get(name)}
+    mapping = {**times, **layout, "signals": signals, "conditions": conditions}
+    return repair_overloads(import_recording(file.path, mapping))
 
 
 def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -> dict[str, float]:
@@ -585,13 +632,29 @@ def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -
     columns = {key: (column,) for key, column in file.sources.items()}
     by_angle = columns.get("speed_rpm") == file.signals.get("phi")
     signals = {"phi" if by_angle and key == "speed_rpm" else key: column for key, column in columns.items()}
-    rec = _import(options, replace(file, signals=signals, units=file.units if by_angle else {}), {})
-    point = {key: float(np.median(rec.signal(key))) for key in columns if key in rec.signals}
+    alone = replace(file, signals=signals, units=file.units if by_angle else {}, calibrations={})
+    rec = _import(options, alone, {})
+    first, last = (round((t or 0.0) / rec.sample_time) for t in (options.from_s, options.to_s))
+    rec = rec.slice(min(first, rec.n_samples - 1), min(last, rec.n_samples) if last else rec.n_samples)
+    point = {key: _plateau(rec.signal(key)[:, 0]) for key in columns if key in rec.signals}
     if by_angle:
         increments = turning_increments(rec)
-        turning = 0.0 if increments is None else abs(float(np.mean(increments)))
-        point["speed_rpm"] = 30 / np.pi / rec.sample_time * turning
+        speeds = np.zeros(1) if increments is None else np.abs(increments)
+        size = max(1, min(len(speeds), round(BLOCK / rec.sample_time)))
+        blocks = speeds[: len(speeds) // size * size].reshape(-1, size).mean(axis=1)
+        point["speed_rpm"] = 30 / np.pi / rec.sample_time * _plateau(blocks)
     return known | {key: float(f"{value:.{2 if key == 'pressure_bar' else 3}g}") for key, value in point.items()}
+
+
+def _plateau(values: FloatArray) -> float:
+    """Return the mean of the most values within 2 % of each other: a run-up has none of its speeds for long."""
+    ordered = np.sort(values)
+    ends = np.searchsorted(ordered, ordered + _SAME_SPEED * np.abs(ordered), side="right")
+    start = int(np.argmax(ends - np.arange(len(ordered))))
+    return float(np.mean(ordered[start : ends[start]]))
+
+
+_SAME_SPEED = 0.02
 
 
 def _notes_on_points(files: Sequence[MeasuredFile], recordings: Sequence[Recording]) -> list[str]:
@@ -617,8 +680,11 @@ def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[
         return list(files), []
     largest = 0.0
     for file in unstated:
-        alone = replace(file, signals={"phi": file.signals["phi"]}, units={"phi": "rad"})
-        phi = _import(options, alone, {}).signal("phi")[:, 0]
+        alone = replace(file, signals={"phi": file.signals["phi"]}, units={"phi": "rad"}, calibrations={})
+        try:
+            phi = _import(options, alone, {}).signal("phi")[:, 0]
+        except GbidError:
+            continue  # it is told of the whole file
         if np.ptp(phi) < 2 * np.ptp(np.diff(phi)):  # it falls back by nearly its whole range
             largest = max(largest, float(np.abs(phi).max()))
     unit = "deg" if 1.1 * 2 * np.pi < largest < 1.1 * 360 else "rad"
@@ -791,9 +857,9 @@ def draft_experiment(
     DataError
         When a file cannot be read.
     """
-    content = content or list_folder(options.folder)
+    content = content or list_folder(options)
     surveyed = survey(options, content)
-    data = read_data(options, surveyed.files)
+    data = read_data(options, surveyed.files, content.broken)
     text = draft_text(target, options, data)
     if complete is not None:
         options = replace(options, machine=complete(options.machine))
@@ -838,6 +904,7 @@ def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
         for file, stem in zip(data.files, stems, strict=True)
     }
     patterned = [file for file in data.files if data.names and data.names.pattern.read(file.path.name) is not None]
+    patterned = [file for file in patterned if _mapping_key(file) == _mapping_key(patterned[0])]
     mapped = {file.point for file in data.files if file.kind == "stationary"}
     environment = Environment(
         loader=PackageLoader("gbid.experiment", "."), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -847,6 +914,7 @@ def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
         name=name_of(target.name),
         data_folder=os.path.relpath(options.folder.resolve(), target.resolve()),
         options=options,
+        text=lambda file: (text := options.text_of(file.path)) and {key: getattr(text, key) for key in text.given()},
         machine={key: getattr(options.machine, key) for key in _NEEDED},
         data=data,
         patterned=patterned,
@@ -857,10 +925,14 @@ def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
         has_references=all("r" in file.signals for file in excited),
         n_excited=len(excited),
         n_points=len(distinct),
-        repeated=counts.min() > 1,
+        repeated=counts.max() > 1,
         order=order_words(possible_order(points)),
         sample_time=excited[0].recording.sample_time,
     )
+
+
+def _mapping_key(file: MeasuredFile) -> tuple[object, ...]:
+    return file.time, dict(file.signals), dict(file.units), dict(file.calibrations)
 
 
 def _seconds(value: float) -> str:

@@ -144,7 +144,8 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
             raise UsageError(f"{words} has no field {name}; write {{{name}:g}} into it, or give it in conditions")
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
     endings = {suffix, *(ending for ending in file_formats() if ending not in HDF5_ENDINGS or suffix in HDF5_ENDINGS)}
-    files = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
+    known = [p for p in paths if p.suffix.lower() in endings and not p.name.startswith("._")]  # macOS writes these
+    files = sorted((p.relative_to(folder).as_posix() for p in known), key=by_count)
     read = {f: pattern.read(f) for f in files if f not in skip and not any(fnmatchcase(f, p) for p in section.ignore)}
     unmatched = [file for file, fields in read.items() if fields is None]
     for file, fields in read.items():
@@ -617,8 +618,13 @@ def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
     Returns
     -------
     list of (model, recording)
-        The recording is empty for a model without a recording to validate on.
+        Without models that have no recording to validate on; where none has one, all with an empty recording.
     """
+    pairs = _validation_pairs(experiment, fit)
+    return [pair for pair in pairs if pair[1]] or pairs
+
+
+def _validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
     models, on = fit_models(experiment, fit), experiment.spec.crossval[fit].on
     if on == ("cyclic",):
         return [(model, _next(experiment, model, list(models))) for model in models]

@@ -2,7 +2,8 @@
 
 import re
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -32,6 +33,7 @@ from gbid.core.option_types import (
     RepeatsOrZero,
     Share,
 )
+from gbid.core.units import conversion_factor
 from gbid.experiment.fields import (
     Deferred,
     Holds,
@@ -382,11 +384,12 @@ class ListedSection(FileSection):
 class FolderSection(ListedSection):
     """All files of the data folder whose names match a pattern; see `gbid.recording.ImportMapping`.
 
-    `pattern` is a file name with fields: ``{name}`` and ``{kind}``, ``{pressure_bar:g}`` (a number),
-    ``{speed_rpm:d}`` (a whole number), and any other word for a part that is ignored. With a ``/`` in it, subfolders
-    are searched. `more_conditions` names further fields to store as conditions. `kinds` gives the meaning of the words
-    of ``{kind}``, `kind` that of a recording without this field. `ignore` lists patterns of files, with ``*`` and
-    ``?``, that do not belong to the experiment. `operating_point` may be false for rigs without pressure and speed.
+    `pattern` is a file name with fields: ``{name}`` and ``{kind}``, ``{pressure_bar:g}`` (a number, with a decimal
+    point or comma), ``{speed_rpm:d}`` (a whole number), and any other word for a part that is ignored. With a ``/`` in
+    it, subfolders are searched. `more_conditions` names further fields to store as conditions. `kinds` gives the
+    meaning of the words of ``{kind}``, `kind` that of a recording without this field. `ignore` lists patterns of files,
+    with ``*`` and ``?``, that do not belong to the experiment. `operating_point` may be false for rigs without pressure
+    and speed.
     """
 
     pattern: Text
@@ -657,7 +660,7 @@ class ExperimentFile(Section):
 
 _SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _FIELD = re.compile(r"\{(?P<name>[^{}:]*)(?::(?P<kind>[^{}]*))?\}")
-_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?"
 _FORMS = {"g": _NUMBER, "d": r"[-+]?\d+", "": r"[^/]+?"}
 
 
@@ -705,7 +708,8 @@ class NamePattern:
         match = self.regex.fullmatch(path)
         if match is None:
             return None
-        return {name: float(match[name]) if name in self.numbers else match[name] for name in self.fields}
+        cells = {name: match[name] for name in self.fields}
+        return {n: float(cell.replace(",", ".")) if n in self.numbers else cell for n, cell in cells.items()}
 
 
 def name_pattern(text: str) -> NamePattern:
@@ -742,3 +746,142 @@ def _literal(text: str, part: str) -> str:
     if "{" in part or "}" in part:
         raise UsageError(f"{text!r}: a brace has no partner; write fields as {{name}}")
     return re.escape(part)
+
+
+# ---- Operating point and kind of recordings from the names of their files, without a pattern.
+
+_UNIT_WITH_SIGNS = (
+    r"(?<![^\W\d_])(?:1|u|r|revs?|tr|umdr)[\W_](?:p(?:er|ro)[\W_])?min(?![^\W\d_])|(?<![^\W\d_])min[\W_]{1,2}1(?!\d)"
+)
+_TOKEN = re.compile(rf"{_UNIT_WITH_SIGNS}|\d+(?:[.,]\d+)?|[^\W\d_]+|[\W_]", re.IGNORECASE)
+_BEFORE = {  # words before the number
+    "pressure_bar": {"p", "ps", "psup", "druck", "pressure", "press", "bar"},
+    "speed_rpm": {"n", "drehzahl", "speed", "rpm", "upm", "omega", "om"},
+}
+_THOUSANDS = re.compile(r"\d{1,3}[.,]\d{3}")  # 4.200 rpm: decimals or a thousands sign
+
+
+@dataclass(frozen=True)
+class NamesRead:
+    """Pattern that the names of files have in common.
+
+    Attributes
+    ----------
+    pattern : NamePattern
+        The pattern.
+    tells_kind : bool
+        Whether a single word differs between the files, which may be their kind.
+    factors : dict of str to float
+        Factors of fields in other units, which a pattern cannot read.
+    """
+
+    pattern: NamePattern
+    tells_kind: bool
+    factors: Mapping[str, float] = field(default_factory=dict)
+
+    def read(self, file: str) -> dict[str, str | float] | None:
+        """Return the fields of a file name; None when it does not match."""
+        fields = self.pattern.read(file)
+        factors = self.factors if fields else {}
+        return fields and {**fields, **{key: float(f"{float(fields[key]) * f:.12g}") for key, f in factors.items()}}
+
+
+def tokens_of(name: str) -> list[str]:
+    """Return the words, numbers and signs of a file name."""
+    return _TOKEN.findall(name)
+
+
+def read_names(files: Sequence[str]) -> NamesRead | None:
+    """Return the pattern of file names of one form: equal words and signs, with numbers that may differ.
+
+    A number before ``bar`` or after ``p`` is the pressure, one before ``rpm``, ``Umin``, ``1-min`` or after ``n`` the
+    speed. One word may differ between the files.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Names of the files with the same ending.
+
+    Returns
+    -------
+    NamesRead or None
+        None when the names have different forms.
+    """
+    split = [tokens_of(file.rpartition(".")[0]) for file in files]
+    if len({tuple(map(_form, tokens)) for tokens in split}) != 1:
+        return None
+    parts: list[str] = []
+    words: list[str] = []
+    factors: dict[str, float] = {}
+    quantities = _quantities(split[0])
+    for i, column in enumerate(zip(*split, strict=True)):
+        token, differs = column[0], len(set(column)) > 1
+        quantity, factor = quantities.get(i, ("nr" if _form(token) == "number" else "", 1.0))
+        if quantity == "speed_rpm" and any(map(_THOUSANDS.fullmatch, column)):
+            quantity = "nr"
+        if quantity and quantity not in factors and (quantity != "nr" or differs):
+            factors[quantity] = factor
+            integers = quantity != "pressure_bar" and all(each.isdigit() for each in column)
+            parts.append(f"{{{quantity}:{'d' if integers else 'g'}}}")
+        elif not differs:
+            parts.append(token)
+        elif quantity:
+            parts.append(f"{{part{i}}}")
+        else:
+            words.append(f"word{i}" if words else "kind")
+            parts.append(f"{{{words[-1]}}}")
+    text = "".join(parts) + "." + files[0].rpartition(".")[2]
+    others = {key: factor for key, factor in factors.items() if factor != 1.0}
+    return NamesRead(name_pattern(text), len(words) == 1, others)
+
+
+def _form(token: str) -> str:
+    if re.fullmatch(r"[\d.,]*\d", token):
+        return "number"
+    return "word" if token[0].isalnum() else token
+
+
+def _quantities(tokens: Sequence[str]) -> dict[int, tuple[str, float]]:
+    """Return the quantities of the numbers among the tokens of a name, with the factor to its unit, by their places.
+
+    A word is the unit of the number before it, unless it is joined to the one behind it, or that before it is joined to
+    a word of its own: V1 rpm4200.
+    """
+    quantities: dict[int, tuple[str, float]] = {}
+    places = [k for k, token in enumerate(tokens) if token[0].isalnum()]
+    numbers = {k for k in places if _form(tokens[k]) == "number"}
+    for at, k in enumerate(places):
+        word = tokens[k].lower()
+        left, right = ({places[j]} & numbers if 0 <= j < len(places) else set() for j in (at - 1, at + 1))
+        joined = bool(left) and k - 1 in left
+        is_labelled = bool(right) and any(j - 1 in places for j in left)
+        unit = _unit(word, joined)
+        if unit and (left - quantities.keys()) and (joined or not (k + 1 in numbers or is_labelled)):
+            quantities[min(left)] = unit
+        elif right:
+            quantities |= {min(right): (q, 1.0) for q, words in _BEFORE.items() if word in words}
+    return quantities
+
+
+_PASCALS = {"pa": "Pa", "kpa": "kPa", "mpa": "MPa"}
+
+
+def _unit(word: str, joined: bool) -> tuple[str, float] | None:
+    """Return the quantity of a unit and its factor; a single letter is one right behind a number only."""
+    if pressure := factor_or_zero(_PASCALS.get(word, word), "bar"):
+        return "pressure_bar", pressure
+    parts = re.fullmatch(r"(.+?)[\W_]*(?:p(?:er|ro)[\W_]*)?min|min[\W_]+(1)", word)
+    if parts and (speed := factor_or_zero(f"{parts[1] or parts[2]}/min", "rpm")):
+        return "speed_rpm", speed
+    is_turn = factor_or_zero(f"{word}/min", "rpm") == 1.0 and word not in ("1", "r") and (len(word) > 1 or joined)
+    if is_turn or (word not in ("hz", "hertz") and len(word) > 1 and factor_or_zero(word, "rpm")):
+        return "speed_rpm", 1.0 if is_turn else factor_or_zero(word, "rpm")
+    return None
+
+
+def factor_or_zero(unit: str, target: str) -> float:
+    """Return the factor of a unit to another one; 0 where it is none of this quantity."""
+    try:
+        return conversion_factor(unit, target)
+    except UsageError:
+        return 0.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
-from gbid.core.units import conversion_factor, is_speed_unit, is_unit
+from gbid.core.units import conversion_factor, is_ambiguous, is_speed_unit, is_unit
 
 # ---- Units of the columns of a file: what file and mapping say about them, and their factors.
 
@@ -31,7 +31,7 @@ def is_file_unit(cell: str) -> bool:
 def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
     """Return the unit of the numbers in the file; None when neither file nor mapping gives one.
 
-    The mapping wins over a word of the file that is no unit.
+    The mapping wins over a word of the file that is no unit, or is one of several.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> s
         When file and mapping give different units.
     """
     mapped, given = (None if unit is None else written_unit(unit) for unit in (mapped, given))
-    if mapped is None or given is None or mapped == given or not is_unit(given):
+    if mapped is None or given is None or mapped == given or not is_unit(given) or is_ambiguous(given):
         return given if mapped is None else mapped
     try:
         same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)

@@ -748,10 +748,12 @@ class TextTable:
             As for `cells`; also when a cell is neither a number nor empty; an empty one is a missing sample, NaN.
         """
         fast = self._fast(indices)
-        values = np.column_stack([self._numbers(i) for i in indices]) if fast is None else fast
+        if fast is None:  # where one column has stamps, the others are numbers
+            alone = ((i, self._fast([i])) for i in indices)
+            fast = np.column_stack([self._numbers(i) if column is None else column for i, column in alone])
         if not self.layout.is_decimal_given:
-            self._refuse_unclear(indices, values)
-        return values
+            self._refuse_unclear(indices, fast)
+        return fast
 
     def _fast(self, indices: Sequence[int]) -> FloatArray | None:
         """Return the columns by numpy's reader; None where the rows need a closer look."""

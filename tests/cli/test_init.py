@@ -9,8 +9,8 @@ from scipy.io import savemat
 
 from gbid import load, load_recording
 from gbid.cli import files as new
-from gbid.experiment.draft import read_names
 from gbid.experiment.load import load_experiment
+from gbid.experiment.schema import read_names
 from gbid.recording.readers import FileChannel
 from gbid.recording.roles import find_roles
 
@@ -66,9 +66,9 @@ def test_a_run_up_is_cut_away_and_one_point_has_order_0(tmp_path, capsys):
     assert "from_s: 0.2" in text
     assert "method: none" in text
     assert "order: 0" in text
-    assert "name: 5_5_bar_4000_rpm_PRBS_1" in text  # the name has a decimal comma, so that there is no pattern
-    assert "conditions: {pressure_bar: 5.5, speed_rpm: 4000.0}" in text
-    load_experiment(tmp_path / "own" / "experiment.yaml")
+    assert 'pattern: "{pressure_bar:g} bar {speed_rpm:d} rpm PRBS 1.csv"' in text
+    (planned,) = load_experiment(tmp_path / "own" / "experiment.yaml").recordings.values()
+    assert dict(planned.conditions) == {"pressure_bar": 5.5, "speed_rpm": 4000.0}
 
 
 def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
