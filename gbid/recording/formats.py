@@ -585,9 +585,15 @@ def _stored_mat(name: str, value: Any) -> StoredArray:
         return StoredArray(
             np.zeros(0), fault=f"{name} is a MATLAB {kind}; {fields}{SAVE_PLAIN}", remark=f"MATLAB {kind}: not read"
         )
+    if isinstance(value, np.ndarray) and value.dtype == np.uint32 and value.size > 1 and value.flat[0] == _OBJECT:
+        text = f"{name} is a MATLAB object of which mat-io gives the reference alone; {SAVE_PLAIN}"
+        return StoredArray(np.zeros(0), fault=text, remark="MATLAB object: not read")
     if isinstance(value, np.ndarray) and value.ndim == 2 and len(value) == 1 and value.size > 1:
         value = value[0]
     return StoredArray(value)
+
+
+_OBJECT = 0xDD000000  # first number of a reference to an object
 
 
 def _field(struct: Any, field: str, where: str) -> Any:

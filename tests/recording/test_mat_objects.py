@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import refusals
+import scipy.io
 from experiment_files import json_of
 from matio import save_to_mat
 from matio.utils.matclass import MatlabObject, MatlabOpaque
@@ -126,6 +127,12 @@ def test_what_cannot_be_read_names_class_and_way_out(tmp_path, version):
     assert "ts has no field 'Data'" in (text := refused(path, "ts.Data"))
     assert text.endswith(f"(MATLAB timeseries; {PLAIN})")
     assert "data.InputData is an array of object, not an array of real numbers" in refused(path, "data.InputData[0]")
+
+
+def test_a_reference_to_an_object_is_no_signal(tmp_path):
+    """What mat-io returns of an object when the part of the file that describes objects is damaged."""
+    scipy.io.savemat(tmp_path / "a.mat", {"u": np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32).T})
+    assert "u is a MATLAB object" in refused(tmp_path / "a.mat", "u")
 
 
 def test_a_damaged_object_is_named(tmp_path, monkeypatch):
