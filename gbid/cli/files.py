@@ -117,7 +117,7 @@ def init(
     """Draft an experiment for a gas bearing from the files of a folder, and ask for all that they do not say."""
     from gbid.cli.printing import tell
     from gbid.cli.templates import refuse_used, write_draft
-    from gbid.experiment.draft import DraftOptions, calibration_of
+    from gbid.experiment.draft import DraftOptions
     from gbid.experiment.schema import Kind
     from gbid.lpv import MachineData
     from gbid.recording.mapping import TextOptions
@@ -126,7 +126,6 @@ def init(
     folder = folder or Path(f"{measured.resolve().name}-experiment")
     refuse_used(folder)
     layout: Any = (encoding, decimal, delimiter, header_line)
-    units = dict(_pair("--unit", text) for text in unit or () if "=" in text)
     kinds = dict(_pair("--kind", text) for text in kind or ())
     if wrong := [text for text in kinds.values() if text not in get_args(Kind)]:
         raise UsageError(f"--kind: {wrong[0]!r} is no kind; choose from {', '.join(get_args(Kind))}")
@@ -134,9 +133,6 @@ def init(
         measured,
         time=time,
         sample_time=sample_time,
-        unit=next((text for text in unit or () if "=" not in text), None),
-        units=units,
-        calibrations=dict(calibration_of(text) for text in calibration or ()),
         time_unit=time_unit,
         text=TextOptions(*layout),
         pattern=pattern,
@@ -153,6 +149,9 @@ def init(
         ),
         ask=sys.stdin.isatty(),
     )
+    for option, texts in (("unit", unit), ("calibration", calibration)):
+        for text in texts or ():
+            drafted = drafted.answered(option, text)
     for text in signal or ():
         name, columns = _pair("--signal", text)
         if name not in ROLES:

@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
-from gbid.core.units import conversion_factor, is_speed_unit, is_unit
+from gbid.core.units import conversion_factor, is_ambiguous, is_speed_unit, is_unit
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import (
     KINDS,
@@ -189,6 +189,9 @@ class DraftOptions:
                 raise UsageError(f"{option}: expected the {QUESTIONS[option]}; found {text!r}")
             added = (*self.signals.get(option, ()), names) if names else ()
             option, value = "signals", {**self.signals, option: added}
+        elif option == "unit" and "=" in text:
+            signal, _, unit = text.partition("=")
+            option, value = "units", {**self.units, signal.strip(): unit.strip()}
         elif option == "calibration":
             option, value = "calibrations", {**self.calibrations, **dict([calibration_of(text)])}
         elif option in POINT:
@@ -291,7 +294,7 @@ def _in_options(text: str) -> str:
     """Return a message with the options of `gbid init` in place of keys of the YAML."""
     keys = r"\b(decimal|encoding|delimiter|header_line|time_unit): "
     text = re.sub(keys, lambda key: f"--{key[1].replace('_', '-')} ", text)
-    return text.replace("sample_time_s", "--sample-time")
+    return re.sub("(?<!-)header_line", "--header-line", text).replace("sample_time_s", "--sample-time")
 
 
 def _broken_in_words(errors: Mapping[Path, GbidError]) -> list[str]:
@@ -420,7 +423,8 @@ def _stated_units(
                 conversion_factor(stated[column] or "", "rad" if is_angle else "m")
             except UsageError as error:
                 text = f"{path}: column {column!r} of {signal}: {error}"
-                reasons.setdefault("unit" if "may be" in str(error) else "calibration", text)
+                is_open = is_ambiguous(stated[column] or "")
+                reasons.setdefault(*(("unit", f"{text} (--unit {signal}=...)") if is_open else ("calibration", text)))
         if known and signal not in options.units:
             continue
         if unit is None:

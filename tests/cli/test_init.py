@@ -176,7 +176,7 @@ def test_an_operating_point_that_no_name_tells_is_measured(tmp_path, capsys):
     names = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
     for number, rpm, more in ((1, 4200.0, "Drehzahl [U/min];Druck [bar]"), (2, 3000.0, "Druck [bar]")):
         path = tmp_path / "m" / f"run{number}.csv"
-        write(path, True, rpm, names)
+        write(path, True, rpm, names, still_s=0.05 * (number == 2))  # a run-up does not decide
         lines = path.read_text(encoding="cp1252").splitlines()
         point = {"Drehzahl [U/min]": rpm + 3, "Druck [bar]": 4.98}
         cells = "".join(f";{point[column]:g}" for column in more.split(";"))
@@ -189,6 +189,36 @@ def test_an_operating_point_that_no_name_tells_is_measured(tmp_path, capsys):
     assert [dict(q.conditions) for q in recordings.values()] == [
         {"pressure_bar": 5.0, "speed_rpm": 4200.0}, {"pressure_bar": 5.0, "speed_rpm": 3000.0}
     ]  # fmt: skip
+
+
+def test_kinds_that_signals_do_not_show_are_given_by_words(tmp_path, capsys):
+    names = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    for word in ("scala", "rumore"):
+        write(tmp_path / "m" / f"6bar_4000giri_{word}.csv", True, names=names)
+    assert gbid("init", tmp_path / "m", tmp_path / "own", "--kind", "scala=staircase") == 0
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    assert 'kinds: {"rumore": excited, "scala": staircase}' in text
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "flags"),
+    [
+        (("phi [deg]", "phi [grad]"), "may be deg or gon: write the one that is meant (--unit phi=...)", ("phi=deg",)),
+        (("phi [deg]\n", "phi [deg]\n0;1;2\n"), "is the file truncated", None),
+        (("t [s];r_x", "0;0;r_x"), "name it with --header-line (--header-line 0 numbers", None),
+        (("p_x [um]", "p_x [V]"), "--calibration 'X=0:0 10:125 um'", ("um", "--calibration", "p_x=0:0 1:1 um")),
+    ],
+)
+def test_every_remedy_is_an_option(tmp_path, capsys, change, words, flags):
+    names = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    path = tmp_path / "m" / "6bar_4000rpm.csv"
+    write(path, True, names=names)
+    path.write_text(path.read_text(encoding="cp1252").replace(*change))
+    assert gbid("init", path.parent, tmp_path / "own") in (2, 3)
+    assert words in capsys.readouterr().err
+    if flags:
+        assert gbid("init", path.parent, tmp_path / "own", "--unit", *flags) == 0
+        load_experiment(tmp_path / "own" / "experiment.yaml")
 
 
 def test_columns_given_once_are_those_of_csv_and_mat(tmp_path):

@@ -9,6 +9,7 @@ import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.recording.importing import list_channels, peek
 from gbid.recording.mapping import ImportMapping
+from gbid.recording.quality import find_problems
 
 DT, LATE = 2e-4, 15
 INPUTS = Path(__file__).parents[3] / "shared" / "inputs"
@@ -171,6 +172,12 @@ SCOPE = {"time": "TIME", "signals": {"p": {"columns": ["CH1", "CH2"], "unit": "u
     ("name", "mapping", "first", "sample_time"),
     [
         ("b1_speed_hz.mf4", {"signals": {"speed_rpm": {"columns": ["n"]}}}, [6000.0], 2e-4),
+        (
+            "b4_phi_grad.csv",
+            {"time": "Time", "signals": {"phi": {"columns": ["Winkel"], "unit": "deg"}}, "samples": (1, None)},
+            [np.deg2rad(7.2)],
+            2e-4,
+        ),
         ("c1_mil.csv", OF_INPUTS, [25.4e-6, -76.2e-6], 2e-4),
         ("c3_volts.tdms", {"signals": {"v": {"columns": ["g/ai0"]}}}, [0.0], 2e-4),
         ("e1_sparse_last_column.csv", UM, [1e-6, -3e-6], 2e-4),
@@ -186,6 +193,15 @@ def test_small_inputs_that_are_read(name, mapping, first, sample_time):
     (values,) = recording.signals.values()
     assert values[0] == pytest.approx(first, rel=1e-9)
     assert recording.sample_time == pytest.approx(sample_time, rel=1e-9)
+
+
+@inputs
+def test_an_index_that_jumps_while_the_piezos_rest_is_named():
+    columns = {"p": ["p_x", "p_y"], "phi": ["phi"]}
+    mapping = {"time": "Time", "signals": {name: {"columns": each} for name, each in columns.items()}}
+    recording = gbid.import_recording(INPUTS / "g1_index_jump_still.csv", mapping)
+    (problem,) = (each for each in find_problems(recording) if each.kind == "encoder")
+    assert "jumps 1 times, the first by +63.0 degrees at 0.3998 s" in problem.text
 
 
 @inputs
