@@ -1,0 +1,1 @@
+"""Pages of the documentation, and the code behind their drawings and tables."""

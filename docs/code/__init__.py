@@ -1,0 +1,1 @@
+"""Code behind drawings and tables of the pages."""
