@@ -90,4 +90,4 @@ def nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""
     listed, more = (known, 0) if len(known) <= _LISTED else (known[:_FIRST], len(known) - _FIRST)
-    return f"{meant}there is {', '.join(listed) or 'nothing'}{f' and {more} more' if more else ''}"
+    return f"{meant}choose from {', '.join(listed)}{f' and {more} more' if more else ''}" if known else "there are none"

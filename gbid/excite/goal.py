@@ -229,7 +229,7 @@ class Quantities:
         for pattern in patterns:
             hit = [i for i, name in enumerate(self.names) if fnmatchcase(name, pattern)]
             if not hit:
-                raise UsageError(f"{what}: nothing matches {pattern!r}; there are {', '.join(self.names)}")
+                raise UsageError(f"{what}: nothing matches {pattern!r}; choose from {', '.join(self.names)}")
             matches |= dict.fromkeys(hit)
         return list(matches)
 

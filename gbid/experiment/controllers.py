@@ -420,7 +420,7 @@ def tuned_design(experiment: Experiment, name: str) -> str:
     if name and name not in designs:
         raise UsageError(f"no design {name!r}; {nearest(name, designs)}")
     if not name and len(designs) > 1:
-        raise UsageError(f"several designs are tuned; write tuned:NAME, there is {', '.join(designs)}")
+        raise UsageError(f"several designs are tuned; write tuned:NAME with NAME out of {', '.join(designs)}")
     return name or next(iter(designs))
 
 

@@ -769,7 +769,7 @@ def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
     missing = [key for key in ("stroke_m", "disc_limit_m") if options.limits is None and getattr(options, key) is None]
     if missing:
         raise UsageError(
-            f"controller {name!r}: nobody said the travel of the stacks and the clearance of this machine; give "
+            f"controller {name!r}: the travel of the stacks and the clearance of this machine are not known; give "
             f"{' and '.join(missing)}, in an experiment machine: piezo_travel_m and clearance_m, or with "
             "save_controller plant='theisen2016' or provenance={'piezo_travel_m': ..., 'clearance_m': ...}",
             missing[0],

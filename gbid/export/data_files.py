@@ -67,7 +67,7 @@ def save_data(
                 f"two recordings have the name {twice[0]!r}; rename one, as in replace(recording, name=...)"
             )
     if path.suffix.lower() not in writers:
-        raise UsageError(f"{path}: unknown ending {path.suffix!r}; for this there is {', '.join(writers)}")
+        raise UsageError(f"{path}: unknown ending {path.suffix!r}; choose from {', '.join(writers)}")
     with atomic_path(path, overwrite) as part:
         writers[path.suffix.lower()](what, part)
     return path

@@ -477,7 +477,7 @@ def save_fmu(
     UsageError
         When the file exists and `overwrite` is not set, when its name does not fit, when a gas bearing has no
         actuators, when a model is sampled, when the controller has other channels than the plant, when a number is not
-        positive, when nobody said the limits of the commands, or when there is no C compiler.
+        positive, when the limits of the commands are missing, or when there is no C compiler.
     DataError
         When the file cannot be written.
 
@@ -548,8 +548,8 @@ def _unit_controller(
     limits = limits if limits is not None or travel is None else travel / 2
     if limits is None:
         raise UsageError(
-            f"{path}: nobody said limits, the largest magnitude of each command; give limits=, or in an experiment the "
-            "keys limits, beyond and units of its section target"
+            f"{path}: limits are missing (the largest magnitude of each command); give limits=, or in an experiment "
+            "the keys limits, beyond and units of its section target"
         )
     largest = np.atleast_1d(np.array(limits, float))
     if len(largest) not in (1, len(driven)):

@@ -78,7 +78,7 @@ def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | No
     unknown = sorted(set(known) - set(channels))
     if unknown:
         raise UsageError(
-            f"model {model.name!r} has no channel {unknown[0]!r} to give a unit; there is {', '.join(channels)}"
+            f"model {model.name!r} has no channel {unknown[0]!r} to give a unit; choose from {', '.join(channels)}"
         )
     empty = np.zeros((0, 0))
     contents: dict[str, Any] = {

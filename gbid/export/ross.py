@@ -244,7 +244,7 @@ class LateralMatrices:
         magnetic = {b.tag: b for b in self.bearings if b.force_per_current is not None}
         if tag not in magnetic:
             known = ", ".join(map(repr, magnetic)) or "none"
-            raise UsageError(f"{what}: {tag!r} is no magnetic bearing among the unknown ones; there is {known}")
+            raise UsageError(f"{what}: {tag!r} is no magnetic bearing with unknown coefficients; choose from {known}")
         return magnetic[tag]
 
     def state_matrix(self, shapes: FloatArray | None = None) -> FloatArray:
@@ -344,13 +344,13 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
     else:
         named = {_as_name(tag): tag for tag in ((bearings,) if isinstance(bearings, str) else bearings)}
     if not named:
-        raise UsageError(f"bearings: none is named; there is {choices}")
+        raise UsageError(f"bearings: none is named; choose from {choices}")
     chosen: dict[str, Any] = {}
     for name, key in named.items():
         matching = [e for e in elements if key == (e.n if isinstance(key, int) else e.tag)]
         if len(matching) != 1:
             which = "no bearing" if not matching else f"{len(matching)} bearings"
-            raise UsageError(f"bearings: {which} {key!r} in the rotor; there is {choices}")
+            raise UsageError(f"bearings: {which} {key!r} in the rotor; choose from {choices}")
         if not str(name).isidentifier():
             raise UsageError(
                 f"bearings: {name!r} cannot end the names of parameters; give names, as {{'left': {key!r}}}"

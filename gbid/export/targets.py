@@ -110,7 +110,7 @@ def export_target(name: str) -> ExportTarget:
         return TARGETS[name]
     match offered("gbid.targets", name):
         case None:
-            raise UsageError(f"--to {name}: no such target; there are {', '.join(sorted(TARGETS))}")
+            raise UsageError(f"--to {name}: no such target; choose from {', '.join(sorted(TARGETS))}")
         case ExportTarget() as target, _:
             return target
         case other, package:

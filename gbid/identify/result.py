@@ -499,7 +499,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             own = {name: values.pop(name) for name in vars(group).keys() & values}
             groups[each.name] = replace(group, **own)
         if values:
-            raise TypeError(f"a fit result has no {', '.join(values)}")
+            raise TypeError(f"a fit result has no field {', '.join(values)}")
         return FitResult(**groups)
 
     def noted(self, *notes: str) -> FitResult:
@@ -637,7 +637,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             has no such profile.
         """
         if name not in self.free:
-            raise UsageError(f"{name} is no estimated parameter; there are {', '.join(self.free)}")
+            raise UsageError(f"{name} is no estimated parameter; choose from {', '.join(self.free)}")
         if not 0 < level < 1:
             raise UsageError(f"level = {level!r}; give a probability between 0 and 1, such as 0.95")
         if name in self.profiles and self.profiles[name].level == level:
@@ -682,7 +682,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             When the recording was not part of the fit.
         """
         if recording not in self.recordings:
-            raise KeyError(f"recording {recording!r} was not fitted; there are {', '.join(self.recordings)}")
+            raise KeyError(f"recording {recording!r} was not fitted; choose from {', '.join(self.recordings)}")
         local = self.own_names
         shared = {name: value for name, value in self.parameters.items() if name not in local}
         full_names = self.local_names.get(recording, {})

@@ -140,7 +140,7 @@ class FitTable(Brief, hdf5.InFile):
             When no fit of the table has the parameter.
         """
         if name not in self.parameter_names:
-            raise UsageError(f"no parameter {name!r} in the table; there are {', '.join(self.parameter_names)}")
+            raise UsageError(f"no parameter {name!r} in the table; choose from {', '.join(self.parameter_names)}")
         return self.values[:, self.parameter_names.index(name)]
 
     def covariance_of(self, names: Sequence[str]) -> FloatArray:
@@ -198,7 +198,7 @@ class FitTable(Brief, hdf5.InFile):
             raise UsageError(f"mask: expected {len(self)} values true or false, found {keep.dtype} {keep.shape}")
         if fit is not None:
             if fit not in self.fit:
-                raise UsageError(f"no fit {fit!r} in the table; there are {', '.join(dict.fromkeys(self.fit))}")
+                raise UsageError(f"no fit {fit!r} in the table; choose from {', '.join(dict.fromkeys(self.fit))}")
             keep = keep & (self.fit == fit)
         for name, value in {"pressure_bar": pressure_bar, "speed_rpm": speed_rpm, "success": success}.items():
             if value is not None:

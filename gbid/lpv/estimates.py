@@ -97,7 +97,7 @@ def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCH
     unknown = [name for name in chosen if name not in names]
     if unknown or not chosen or len(set(chosen)) < len(chosen):
         problem = f"{unknown[0]!r} is not a term" if unknown else "give each term once, and at least one"
-        raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(names)}, or {orders}, 'auto'")
+        raise UsageError(f"order = {order!r}: {problem}; choose from {', '.join(names)}, or {orders}, 'auto'")
     return tuple(possible[names.index(name)] for name in sorted(chosen, key=names.index))
 
 

@@ -501,7 +501,7 @@ def _surfaces(
     chosen = tuple(key for key in known if key in fits[0].free) if parameters is None else tuple(parameters)
     unknown = [key for key in chosen if key not in known]
     if unknown or not chosen:
-        raise UsageError(f"parameters: {', '.join(unknown) or 'none'}; there are {', '.join(known)}")
+        raise UsageError(f"parameters: {', '.join(unknown) or 'none'}; choose from {', '.join(known)}")
     return chosen
 
 

@@ -534,7 +534,7 @@ def _check_names(where: str, given: Sequence[str], expected: tuple[str, ...]) ->
     if missing:
         raise UsageError(f"{where}: {', '.join(missing)} missing; give a value for each of {', '.join(expected)}")
     if unknown:
-        raise UsageError(f"{where}: {', '.join(unknown)} unknown; there are {', '.join(expected)}")
+        raise UsageError(f"{where}: {', '.join(unknown)} unknown; choose from {', '.join(expected)}")
     if len(given) > len(expected):
         raise UsageError(f"{where}: a name is given twice; give coefficients or a value for each of them")
 

@@ -383,7 +383,7 @@ def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
         if unknown or missing:
             where = file.position(("key_parameters", field_name, *unknown[:1]))
             problem = f"{', '.join(unknown)} unknown" if unknown else f"{', '.join(missing)} missing"
-            raise UsageError(f"{where}: {field_name}: {problem}; there are {', '.join(expected)}")
+            raise UsageError(f"{where}: {field_name}: {problem}; expected {', '.join(expected)}")
 
 
 def _actuator_values(table: ModelFile) -> dict[str, float]:

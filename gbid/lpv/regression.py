@@ -500,7 +500,9 @@ def solve_surfaces(estimates: Estimates, design: Orthonormal, weighting: Weighti
         mixed = with_scatter(y, X, C)
         coefficients, S = mixed.coefficients, mixed.scatter
         if not mixed.settled:
-            notes = (SurfaceNote.NOT_SETTLED(f"the scatter had not settled after {mixed.steps} steps"),)
+            notes = (
+                SurfaceNote.NOT_SETTLED(f"the estimate of the scatter did not converge within {mixed.steps} steps"),
+            )
     else:
         coefficients = generalised(y, X, V).coefficients
     V, slope, variance = V + S, *((CLIPPING_SLOPE, _VARIANCE) if robust else (1.0, 1.0))

@@ -329,7 +329,7 @@ def prefilter(
     if position not in rec.signals:
         raise DataError(
             f"recording {rec.name!r} has no signal {position!r}; the prefilter works on the measured position, "
-            f"name it (position=...): there are {', '.join(rec.signals)}"
+            f"name it (position=...); choose from {', '.join(rec.signals)}"
         )
     before = {name: values for name, values in rec.signals.items() if name not in _NO_MEAN}
     after = dict(before)
@@ -343,7 +343,7 @@ def prefilter(
         steps.append(f"run-out map ({runout_map.method}) of {', '.join(runout_map.sources)} subtracted from {position}")
     for name, own in (answers or {}).items():
         if name not in after or name == position:
-            raise DataError(f"recording {rec.name!r}: answers names {name!r}; there are {', '.join(before)}")
+            raise DataError(f"recording {rec.name!r}: answers names {name!r}; choose from {', '.join(before)}")
         after[name] = _without_runout(rec, name, own, any_condition, notes)
         steps.append(f"answer of the loop to run-out ({own.method}) of {', '.join(own.sources)} subtracted from {name}")
     despiked = remove_spikes(after[position], measured=before[position])

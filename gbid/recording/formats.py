@@ -578,7 +578,7 @@ def iddata_in(path: Path, variable: str | None = None) -> list[IddataExperiment]
 def _stored_mat(name: str, value: Any) -> StoredArray:
     if kind := class_of(value):
         fields = (
-            f"name one of its fields, there is {', '.join(list(value)[:30])}; or "
+            f"name one of its fields, such as {', '.join(list(value)[:30])}; or "
             if isinstance(value, MatObject)
             else ""
         )

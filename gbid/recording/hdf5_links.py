@@ -196,7 +196,7 @@ class LinkedFile:
             try:
                 points = made.get_virtual_vspace(i).get_select_npoints()
             except RuntimeError:
-                raise DataError(f"{what} is virtual, of a size without limit; {_INSTEAD}") from None
+                raise DataError(f"{what} is a virtual dataset without a fixed size; {_INSTEAD}") from None
             if selected.get_select_type() == h5py.h5s.SEL_ALL:
                 is_short = math.prod(shape) != points
             else:

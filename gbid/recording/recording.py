@@ -514,8 +514,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
         values = self.signals[name]
         if not irregular and self.stamps is not None:
             raise DataError(
-                f"recording {self.name!r} has samples at irregular times, which fits, simulations and residual tests "
-                "take, but not this; interpolate its signals onto even times before (numpy.interp)"
+                f"recording {self.name!r} has samples at irregular times; this function needs even times: interpolate "
+                "its signals before (numpy.interp). Fits, simulations and residual tests accept irregular times"
             )
         if not gaps and self.missing.get(name):
             raise DataError(

@@ -170,7 +170,7 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
         if validation.axis == axis:
             return validation
     axes = ", ".join(v.axis for v in study.validations) or "none"
-    raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {axes}")
+    raise UsageError(f"no impact along {axis} in {study.loop} loop; choose from {axes}")
 
 
 _BEFORE_S = 5e-3
@@ -220,7 +220,7 @@ def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.
     compared = list(studies.values())
     steps = [float(v.time[1] - v.time[0]) for study in compared for v in study.validations]
     if not steps or any(s.conditions != compared[0].conditions for s in compared) or np.ptp(steps) > 1e-9:
-        raise UsageError("loops to be compared need impacts at one operating point, sampled alike")
+        raise UsageError("compared loops must have the same operating point and sample time")
     before = round(_BEFORE_S / steps[0])
     after = round(duration_s / steps[0])
     for study in compared:

@@ -282,7 +282,7 @@ def surfaces_data(
     grid = model.key_parameters(pressure[:, None], speed[None, :])
     unknown = [name for name in names if name not in grid]
     if unknown:
-        raise UsageError(f"no key parameter {unknown[0]!r}; there is {', '.join(grid)}")
+        raise UsageError(f"no key parameter {unknown[0]!r}; choose from {', '.join(grid)}")
     surfaces = []
     for name in names:
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))

@@ -48,12 +48,12 @@ def rig_effect(name: str, **options: Any) -> RigEffect:
     """
     known = rig_effects()
     if name not in known:
-        raise UsageError(f"no effect {name!r}; there is {', '.join(known)}")
+        raise UsageError(f"no effect {name!r}; choose from {', '.join(known)}")
     kind = known[name]
     fields = [key for key in kind.__dataclass_fields__ if key != "name"]
     unknown = [key for key in options if key not in fields]
     if unknown:
-        raise UsageError(f"effect {name!r}: unknown option {', '.join(unknown)}; there is {', '.join(fields)}")
+        raise UsageError(f"effect {name!r}: unknown option {', '.join(unknown)}; choose from {', '.join(fields)}")
     return kind(**options)
 
 

@@ -91,7 +91,7 @@ def driven_motion(
         When `oversampling` is below 20.
     """
     if oversampling < MIN_OVERSAMPLING:
-        raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
+        raise UsageError(f"oversampling = {oversampling}; give at least {MIN_OVERSAMPLING} steps in a sample")
     n_samples = len(reference)
     u = np.zeros((n_samples, oversampling, 2))
     p = np.zeros((n_samples, oversampling, 2))

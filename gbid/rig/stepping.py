@@ -724,7 +724,7 @@ def stepped_motion(
         commanded on a machine without stacks.
     """
     if oversampling < MIN_OVERSAMPLING:
-        raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
+        raise UsageError(f"oversampling = {oversampling}; give at least {MIN_OVERSAMPLING} steps in a sample")
     n = len(excitation)
     open_loop = None if stack_run is None or stack_run.controlled else stack_run.stack
     arrays = step_arrays(machine, controller, sample_time, oversampling, wall, open_loop)

@@ -480,7 +480,7 @@ class _Handler(BaseHTTPRequestHandler):
             fit = unquote(name.removesuffix(".js"))
             answers[parts.path] = _SCRIPT, lambda _: self._live.curves(fit)
         if parts.path not in answers:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; there are {', '.join(answers)}")
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; choose from {', '.join(answers)}")
             return
         kind, answer = answers[parts.path]
         query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
@@ -494,7 +494,7 @@ class _Handler(BaseHTTPRequestHandler):
         designs = self._live.known_designs()
         name = query.pop("design", next(iter(designs)))
         if name not in designs:
-            raise UsageError(f"no design {name!r}; there are {', '.join(designs)}")
+            raise UsageError(f"no design {name!r}; choose from {', '.join(designs)}")
         axis, sampled = query.pop("axis", "x"), query.pop("sampled", "0") == "1"
         try:
             numbers = {key: float(value) for key, value in query.items()}

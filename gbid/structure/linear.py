@@ -146,7 +146,10 @@ class HeldFeedback(NamedTuple):
         for inputs, delay in _equal_delays(law.delay):
             taps = delayed_taps(A, law.late @ np.eye(n_r)[:, inputs], delay, self.sample_time, "zoh", whole=whole)
             if taps.shift > self.memory:
-                raise UsageError(f"a delay of {taps.shift} samples in a loop; its upper bound allows {self.memory}")
+                raise UsageError(
+                    f"a delay of {taps.shift} samples in a loop exceeds the {self.memory} samples of its upper bound; "
+                    "raise the bound"
+                )
             for lag, column in enumerate(taps.columns[1:], start=taps.shift):
                 reached = x_in @ column @ np.eye(n_r)[inputs]
                 if lag == 0:

@@ -231,9 +231,7 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
         symbols = [x, u, p] if what in ("dynamics", "output") else [p]
         function = ca.Function("e", symbols, [expression], {"allow_free": True})
         if foreign := [symbol.name() for symbol in function.free_sx()]:
-            raise UsageError(
-                f"structure {structure.name!r}: {what} contains symbols that are none of its own: {', '.join(foreign)}"
-            )
+            raise UsageError(f"structure {structure.name!r}: {what} contains unknown symbols: {', '.join(foreign)}")
         if any(np.isnan(c) for c in _constants(function)):
             raise UsageError(
                 f"structure {structure.name!r}: {what} contains nan: a function that is not casadi's, such as "

@@ -86,7 +86,7 @@ class Values(dict[str, Any]):
         try:
             return self[name]
         except KeyError:
-            raise AttributeError(f"no parameter {name!r}; there are {', '.join(self)}") from None
+            raise AttributeError(f"no parameter {name!r}; choose from {', '.join(self)}") from None
 
     @classmethod
     def of(cls, parameters: tuple[Parameter, ...], values: Any) -> Values:
@@ -133,7 +133,7 @@ def known_names(parameters: tuple[Parameter, ...], given: Iterable[str], what: s
     names = [parameter.name for parameter in parameters]
     unknown = [name for name in given if name not in names]
     if unknown:
-        raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}")
+        raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; choose from {', '.join(names)}")
 
 
 # ---- Functions of a structure that are called once for all parts of a fit, and of a built-in one for all fits.

@@ -207,7 +207,7 @@ def test_export_of_an_experiment_takes_its_lpv_models_along(spring, capsys):
     [
         ("experiment.yaml", 3, ["no models and no controllers in", "run `gbid run experiment.yaml` first"]),
         ("fit.h5 --at 6 0", 2, ["--at is for LPV models and controllers"]),
-        ("theisen2016 --to mat", 2, ["no such target; there are c, csv", "matlab"]),
+        ("theisen2016 --to mat", 2, ["no such target; choose from c, csv", "matlab"]),
         ("theisen2016 --to csv --number float", 2, ["--number is for --to c"]),
         ("theisen2016 --to c --mass 2", 2, ["--mass is for --to ross"]),
         ("theisen2016 --to c", 2, ["takes controllers; here are only LPV models"]),

@@ -73,7 +73,7 @@ def test_only_takes_what_earlier_stages_left(spring, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--only", "fti"], "fti: no such stage; did you mean 'fit'? there is rig, import, fit,"),
+        (["--only", "fti"], "fti: no such stage; did you mean 'fit'? choose from rig, import, fit,"),
         (["--until", "figure"], "figure: no such stage"),
         (["--only", "rig"], "no section 'rig'; add one, or use `gbid run`"),
         (["--only", "lpv"], "no section 'lpv'"),

@@ -97,7 +97,7 @@ def test_bad_files(tmp_path: Path) -> None:
         ("method: tustin", "method: zoh", r"sampled \w is not what the gains and the sampling give"),
         ("value: 1.125", "value: high", rf"p\.yaml:{line}:5: gains\.kappa_x\.value = 'high'"),
         ("kind: controller", "kind: lpv_model", r"p\.yaml:1:1: kind = 'lpv_model'"),
-        ("order: 1", "ordre: 1", r"unknown option ordre; there are"),
+        ("order: 1", "ordre: 1", r"unknown option ordre; choose from"),
         ("sampling:", "sampled:", r"unknown key 'sampled'"),
         ("sample_time_s: 0.0002", "sample_time_s: -1.0", r"sample_time = -1.0; give a number above 0"),
     ):

@@ -46,7 +46,7 @@ def test_it_is_found_by_its_name(lead) -> None:
     assert {"P", "PD", "biquad", "lead"} < set(built_in_structures())
     names = [gain.name for gain in gbid.controller_structure("lead").parameters]
     assert names == ["kappa_x", "kappa_y", "zero_x", "zero_y"]
-    with pytest.raises(UsageError, match=r"unknown option speed; there are .*longest_ms"):
+    with pytest.raises(UsageError, match=r"unknown option speed; choose from .*longest_ms"):
         gbid.controller_structure("lead", speed=1.0)
 
 

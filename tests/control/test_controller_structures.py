@@ -58,7 +58,7 @@ def test_scheduled_gains_are_polynomials_over_the_scaled_domain() -> None:
     [
         (lambda: gbid.controller_structure("PIDD"), "controller = 'PIDD'; choose 'P', 'PD'"),
         (lambda: gbid.controller_structure(3), "kind = 3; give a text or Structure"),
-        (lambda: gbid.controller_structure("P", corner=3), "unknown option corner; there are lowpass_hz, order"),
+        (lambda: gbid.controller_structure("P", corner=3), "unknown option corner; choose from lowpass_hz, order"),
         (lambda: gbid.controller_structure("P", lowpass_hz=-1.0), "lowpass_hz = -1.0; give a number above 0"),
         (lambda: gbid.controller_structure("P", order=1.5), "order = 1.5; give a whole number"),
         (lambda: gbid.controller_structure("PD", order=0), "without a low-pass it is not proper"),
@@ -74,7 +74,7 @@ def test_scheduled_gains_are_polynomials_over_the_scaled_domain() -> None:
         (lambda: gbid.controller_structure("biquad", damping=0.5), "damping = 0.5; give two positive"),
         (lambda: gbid.controller_structure("P", axes=(1, 2)), "give each axis a name"),
         (lambda: controller_model(PStructure(), {"kappa_x": 1.0}), "no value for kappa_y"),
-        (lambda: controller_model(PStructure(), {"kappa_x": 1.0, "kappa_y": 1, "kd": 1}), "no gain kd; there are"),
+        (lambda: controller_model(PStructure(), {"kappa_x": 1.0, "kappa_y": 1, "kd": 1}), "no gain kd; choose from"),
         (
             lambda: controller_model(PStructure(), {"kappa_x": np.nan, "kappa_y": 1}),
             "'kappa_x': nan, .*; give a",

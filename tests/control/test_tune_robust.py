@@ -96,7 +96,7 @@ def test_a_covariance_may_be_singular_but_not_negative() -> None:
         root_of(np.array([[1.0, 2.0], [2.0, 1.0]]))
     with pytest.raises(UsageError, match="symmetric"):
         Uncertainty(np.triu(np.ones((84, 84))))
-    with pytest.raises(UsageError, match="there are 10, from 0"):
+    with pytest.raises(UsageError, match="from the 10 draws"):
         Uncertainty(np.eye(84), chosen=(10,))
 
 

@@ -48,8 +48,8 @@ def test_its_form_and_its_meaning_are_checked(tmp_path):
         load_experiment(path)
     lines = [line.split(": ", 1)[1] for line in str(error.value).splitlines()]
     assert lines == [
-        "peaks.recordings: no recording matches 'ran1'; did you mean 'run1'? there is run1, run2",
-        "peaks.size: unknown key; there is recordings, signal, limit",
+        "peaks.recordings: no recording matches 'ran1'; did you mean 'run1'? choose from run1, run2",
+        "peaks.size: unknown key; choose from recordings, signal, limit",
     ]
 
 

@@ -83,7 +83,7 @@ LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
         ("stop: paper", "start: dta", "start: dta", ["or the word data, found 'dta'"]),
         ("stop: paper", "start: {tau_x: a}", "start: {tau_x", ["or the word data, found {'tau_x': 'a'}"]),
         ("stop: paper", "criterion: tr", "criterion: tr", ["expected 'trace' or 'det' or 'auto', found 'tr'"]),
-        ("4.5e-6", "4.5e-6, extra: 1", "extra: 1", ["unknown key; there is recordings, amplitude_m, hold_s"]),
+        ("4.5e-6", "4.5e-6, extra: 1", "extra: 1", ["unknown key; choose from recordings, amplitude_m, hold_s"]),
         ("name: quick", "name: 2024", "name: 2024", ["name", "text", "quotes"]),
         ("name: quick", "name: a/b", "name: a/b", ["'a/b' cannot be a name"]),
         ("format: 1", "format: 2", "format: 2", ["format", "expected 1", "found 2"]),
@@ -195,7 +195,9 @@ def test_a_long_list_of_what_there_is_ends_early(tmp_path):
         "fits: {bearing: {structure: rotor_bearing}}\ncrossval: {bearing: {on: other}}\n"
     )
     (line,) = problems_of(path)
-    assert "no recording matches 'other'; did you mean 'others'? there is cyclic, others, point, p3_n0_still1" in line
+    assert (
+        "no recording matches 'other'; did you mean 'others'? choose from cyclic, others, point, p3_n0_still1" in line
+    )
     assert line.endswith(" and 35 more")
 
 

@@ -123,13 +123,13 @@ def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(t
         text=RIG + FEEDBACK,
     )
     result = printed_by(capsys, "tune", path, "--json", code=4)
-    assert "limits contradict" in result.err
+    assert "infeasible" in result.err
     document = json.loads(result.out)
     design, (computed, file) = document["tuning"][0], document["outcomes"]
     assert not design["success"]
     assert design["violation"] > 0
     assert (computed["converged"], computed["state"], file["stage"]) == (False, "made", "controller")
-    assert gbid.load_controller(design["controller"]).provenance["status"] == "limits contradict"
+    assert gbid.load_controller(design["controller"]).provenance["status"] == "infeasible"
     assert command("tune", path) == 4  # kept, and still said
 
 
@@ -194,7 +194,7 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ("{p: {structure: Q}}", ("controller.p.structure", "there is P, PD, PI, PID, PPF, biquad")),
+        ("{p: {structure: Q}}", ("controller.p.structure", "choose from P, PD, PI, PID, PPF, biquad")),
         ("{p: {structure: filter, options: {filter_ordr: 6}}}", ("controller.p.options", "option filter_ordr")),
         ("{p: {structure: 'a.py:b'}}", ("controller.p.structure", "no file")),
         ("{p: {model: lpv}}", ("controller.p.model", "no section 'lpv'")),
@@ -202,7 +202,7 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path, capsys):
         ("{p: {uncertainty: {}}}", ("controller.p.uncertainty", "write model: lpv")),
         ("{p: {bounds: {kapa_x: [0, 1]}}}", ("bounds.kapa_x", "did you mean 'kappa_x'")),
         ("{p: {bounds: {kappa_x: [1, 0]}}}", ("bounds.kappa_x", "lower bound 1 is not below")),
-        ("{p: {start: {gain: 1}}}", ("start.gain", "there is kappa_x, kappa_y")),
+        ("{p: {start: {gain: 1}}}", ("start.gain", "choose from kappa_x, kappa_y")),
         ("{p: {schedule: [P]}}", ("controller.p.schedule", "'1' among them")),
         ("{p: {operating_points: []}}", ("controller.p.operating_points", "or a list of operating points")),
         ("{p: {operating_points: all}}", ("controller.p.operating_points: expected the word model or domain", "'all'")),
@@ -211,7 +211,7 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path, capsys):
         ("{p: {tune_corner: true, order: 0}}", ("controller.p.tune_corner", "tune_corner needs a low-pass")),
         (
             "{p: {}, q: {}}\nimpacts: {controller: tuned, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",
-            ("impacts.controller", "write tuned:NAME, there is p, q"),
+            ("impacts.controller", "write tuned:NAME with NAME out of p, q"),
         ),
         (
             "{p: {}}\nimpacts: {controller: 'tuned:q', operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",

@@ -54,7 +54,7 @@ def test_several_recordings_are_groups_of_an_mdf_file(tmp_path):
     assert back.sample_time == pytest.approx(1e-3)
     with pytest.raises(UsageError, match="two recordings have the name 'run 1'"):
         gbid.export.save_data([RUN, RUN], tmp_path / "twice.mf4")
-    with pytest.raises(UsageError, match=r"unknown ending '.parquet'; for this there is .mf4"):
+    with pytest.raises(UsageError, match=r"unknown ending '.parquet'; choose from .mf4"):
         gbid.export.save_data([RUN, other], tmp_path / "runs.parquet")
 
 
@@ -109,6 +109,6 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
     ):
         with pytest.raises(UsageError, match=words):
             gbid.export.save_data(recording, tmp_path / "a.unv")
-    with pytest.raises(UsageError, match=r"unknown ending '.xls'; for this there is .uff, .unv, .uf, .parquet, .mf4"):
+    with pytest.raises(UsageError, match=r"unknown ending '.xls'; choose from .uff, .unv, .uf, .parquet, .mf4"):
         gbid.export.save_data(RUN, tmp_path / "a.xls")
     assert not list(tmp_path.iterdir())

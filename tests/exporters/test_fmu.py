@@ -295,8 +295,8 @@ def test_plants_that_make_no_unit_are_one_line(folder):
         (sampled, {}, "model 'model' is sampled; give the plant in continuous time"),
         (replace(model, input_names=("gap", "b", "c")), {}, "model 'model': two variables 'gap'; give its channels"),
         (model, {"controller": design, "limits": 1.0}, "needs 2 inputs of the plant (r_x, r_y), 'model' has 3; choose"),
-        (model, {**in_loop, "inputs": ["i_2", "gap"]}, "model 'model' has no input 'i_2'; there are force, i_1"),
-        (model, {**in_loop, "limits": None}, "largest magnitude of each command; give limits=, or in an experiment"),
+        (model, {**in_loop, "inputs": ["i_2", "gap"]}, "model 'model' has no input 'i_2'; choose from force, i_1"),
+        (model, {**in_loop, "limits": None}, "largest magnitude of each command); give limits=, or in an experiment"),
         (model, {**in_loop, "limits": [1.0] * 3}, "3 limits for 2 commands"),
         (model, {**in_loop, "computation_s": 0.0}, "computation_s = 0, but inputs act on the outputs at once"),
     ):

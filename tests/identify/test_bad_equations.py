@@ -22,8 +22,8 @@ def _made(dynamics, output=lambda x, u, p: x[0], parameters=K, **more):
         (_made(lambda x, u, p: [x[1]]), r"dynamics\(x, u, p\) returns 1 expressions, one for each state is needed: 2"),
         (_made(lambda x, u, p: [x[1], "fast"]), r"returns list, which is no CasADi expression"),
         (_made(lambda x, u, p: [x[1], float(x[0])]), "dynamics contains nan: a function that is not casadi's"),
-        (_made(lambda x, u, p: [x[1], -p.q * x[0]]), "no parameter 'q'; there are k"),
-        (_made(lambda x, u, p: [x[1], -p.k * x[0] + ca.SX.sym("w")]), "symbols that are none of its own: w"),
+        (_made(lambda x, u, p: [x[1], -p.q * x[0]]), "no parameter 'q'; choose from k"),
+        (_made(lambda x, u, p: [x[1], -p.k * x[0] + ca.SX.sym("w")]), "contains unknown symbols: w"),
         (_made(lambda x, u, p: [x[1], -p.k * x[0]], lambda x, u, p: x), "output.* returns 2 expressions"),
         (_made(lambda x, u, p: [x[1], -p.k * x[0]], disturbance_gain=lambda p: [p.k]), r"has shape \(1, 1\), expected"),
         (

@@ -514,7 +514,7 @@ WRONG_USE = {
     "bounds without start": ({"bounds": {"w": (7.0, 8.0)}}, r"'w': start = 6 lies outside its bounds \[7, 8\]"),
     "start outside bounds": ({"start": {"z": 2.0}}, r"parameter 'z': start = 2 lies outside"),
     "crossed bounds": ({"bounds": {"w": (8.0, 7.0)}}, "'w': lower = 8.0 must be below upper = 7.0"),
-    "unknown start": ({"start": {"q": 1.0}}, "start names unknown parameters: q; there are w, z, g, l1, l2"),
+    "unknown start": ({"start": {"q": 1.0}}, "start names unknown parameters: q; choose from w, z, g, l1, l2"),
     "focus": ({"focus": "predict"}, "focus = 'predict'; choose 'prediction' or 'simulation'"),
     "intersample": ({"intersample": "linear"}, "intersample = 'linear'; give 'zoh', 'foh', a list"),
     "number of holds": ({"intersample": ("zoh", "foh")}, "intersample names 2 inputs; there are 1"),

@@ -64,7 +64,7 @@ def test_parameters_local_to_a_recording():
         local_values = result.parameters_of(name)
         assert local_values == {"a": result.parameters["a"], "b": result.parameters[f"b[{name}]"], "k": 0.0}
         assert result.local_names[name] == {"b": f"b[{name}]"}
-    with pytest.raises(KeyError, match="recording 'r9' was not fitted; there are r0, r1, r2"):
+    with pytest.raises(KeyError, match="recording 'r9' was not fitted; choose from r0, r1, r2"):
         result.parameters_of("r9")
     np.testing.assert_allclose(result.model.B, [[result.parameters["b[r0]"]]])  # that of the first recording
     shared = fit(LAG, recs, focus="simulation")

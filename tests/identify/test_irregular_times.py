@@ -267,7 +267,7 @@ def test_what_cannot_take_irregular_times_says_so():
         lambda: gbid.measured_response(rec, ["u"], ["y"]),
         lambda: gbid.subspace(rec, inputs=["u"], outputs=["y"]),
     ):
-        with pytest.raises(DataError, match="has samples at irregular times, which fits, simulations"):
+        with pytest.raises(DataError, match="has samples at irregular times; this function needs even times"):
             use()
     with pytest.raises(GbidError, match=r"errors='ar' needs every output sample.*at irregular times"):
         gbid.fit(structure(), rec, focus="simulation", errors="ar")

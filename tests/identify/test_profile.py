@@ -304,7 +304,7 @@ def test_a_stored_result_needs_its_recordings(tmp_path):
 
 def test_what_has_no_profile():
     result = gbid.fit(OSCILLATOR, data(), fixed={"b": W**2})
-    with pytest.raises(UsageError, match="b is no estimated parameter; there are w, d"):
+    with pytest.raises(UsageError, match="b is no estimated parameter; choose from w, d"):
         result.profile("b")
     with pytest.raises(UsageError, match="between 0 and 1"):
         result.profile("d", 95)

@@ -185,7 +185,7 @@ def test_mat_file_of_an_lpv_model_gives_the_operating_points(tmp_path):
 def test_mat_files_refuse_what_would_be_lost(tmp_path):
     with pytest.raises(UsageError, match=r"ends in \.mat"):
         save_mat(published(), tmp_path / "model.m")
-    with pytest.raises(UsageError, match=r"no channel 'q' to give a unit; there is u_x, u_y, p_x, p_y"):
+    with pytest.raises(UsageError, match=r"no channel 'q' to give a unit; choose from u_x, u_y, p_x, p_y"):
         save_mat(published(), tmp_path / "model.mat", units={"q": "m"})
     (tmp_path / "model.mat").write_text("mine")
     with pytest.raises(UsageError, match=r"model\.mat exists already"):

@@ -168,7 +168,7 @@ def test_bearings_that_are_not_named_keep_their_coefficients():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"bearings": ["middle"]}, "no bearing 'middle' in the rotor; there is 'left' at node 0, 'right' at node 6"),
+        ({"bearings": ["middle"]}, "no bearing 'middle' in the rotor; choose from 'left' at node 0, 'right' at node 6"),
         ({"bearings": {"a b": "left"}}, "'a b' cannot end the names of parameters"),
         ({"bearings": {"a": "left", "b": 0}}, "0 is named twice"),
         ({"bearings": {}}, "none is named"),

@@ -91,7 +91,7 @@ def test_wrong_use_is_refused(fits):
         gbid.fit_lpv(fits, SPEEDS[:2], structure=ROTOR, scheduling="speed_rpm")
     with pytest.raises(UsageError, match=r"points: give \(gap, bias\) as numbers"):
         gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling=("gap", "bias"))
-    with pytest.raises(UsageError, match="parameters: k_q; there are k_s"):
+    with pytest.raises(UsageError, match="parameters: k_q; choose from k_s"):
         gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", parameters=("k_q",))
     with pytest.raises(UsageError, match="the fits are of rigid_rotor; give fits of the structure 'rotor_bearing'"):
         gbid.fit_lpv(fits, SPEEDS, structure=gbid.RotorBearing(), scheduling="speed_rpm")
@@ -129,5 +129,5 @@ def test_terms_of_other_scheduling_variables():
     names = [term_name(e, ("a", "b", "c")) for e in exponents_of(2, 3)]
     assert names == ["1", "a", "b", "c", "a^2", "a b", "a c", "b^2", "b c", "c^2"]
     assert chosen_exponents(("a^2", "1"), ("a",)) == ((0,), (2,))
-    with pytest.raises(UsageError, match="'P' is not a term; there are 1, a, a"):
+    with pytest.raises(UsageError, match="'P' is not a term; choose from 1, a, a"):
         chosen_exponents(("P",), ("a",))

@@ -21,7 +21,7 @@ def read_dat(path, references):
     values = np.loadtxt(path, skiprows=1, ndmin=2)
     for name in references:
         if name not in names:
-            raise DataError(f"{path}: no column {name!r}; there is {', '.join(names)}")
+            raise DataError(f"{path}: no column {name!r}; choose from {', '.join(names)}")
     return {name: FileColumn(values[:, names.index(name)]) for name in references}
 
 
@@ -62,7 +62,7 @@ def test_it_is_imported(dat, measured: Path) -> None:
     recording = gbid.import_recording(measured, MAPPING)
     np.testing.assert_array_equal(recording.signal("force")[:, 0], 0.5 * np.arange(200))
     wrong = {**MAPPING, "signals": {"force": {"columns": ["g"], "unit": "N"}}}
-    with pytest.raises(DataError, match=r"one\.dat: no column 'g'; there is t, f"):
+    with pytest.raises(DataError, match=r"one\.dat: no column 'g'; choose from t, f"):
         gbid.import_recording(measured, wrong)
 
 

@@ -341,7 +341,7 @@ GOOD = "t,a,b\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50))
         ("# only\n# comments\n", "header line"),
         ("1,2,3\n4,5,6\n7,8,9\n", "no header line"),
         (GOOD.replace("t,a,b", "t,a,a"), "'a' occurs 2 times with different numbers; name one, 'a #1' to 'a #2'"),
-        (GOOD.replace("t,a,b", "t,a,bb"), "did you mean 'bb'? there is t, a, bb"),
+        (GOOD.replace("t,a,b", "t,a,bb"), "did you mean 'bb'? choose from t, a, bb"),
         (GOOD.replace("t,a,b", "t,a [um],a [mm]"), "may be any of 'a [um]', 'a [mm]'"),
         (GOOD.replace("10,3,0", "10,three,0"), "line 12, column 'a': 'three' is not a number"),
         (GOOD.replace("10,3,0", "10,3,1_0"), "line 12, column 'b': '1_0' is not a number"),
@@ -398,7 +398,7 @@ def test_pickled_objects_are_never_loaded(tmp_path):
 @pytest.mark.parametrize(
     ("column", "words"),
     [
-        ("dat", "no variable 'dat'; did you mean 'data'? there is "),
+        ("dat", "no variable 'dat'; did you mean 'data'? choose from "),
         ("data", "shape (300, 4); name one of its columns, e.g. data[0]"),
         ("data[4]", "columns count from 0 to 3"),
         ("data[-1]", "no variable 'data[-1]'"),
@@ -449,7 +449,7 @@ def test_vectors_of_npz_are_not_turned_and_have_no_columns(tmp_path):
 def test_bad_struct_paths(tmp_path, write):
     path = write(tmp_path / "a.mat", {"data": {"u": DATA}, "y": DATA, "row": DATA[:, 0][None, :]})
     for column, words in [
-        ("data.v[0]", "data has no field 'v'; there is u"),
+        ("data.v[0]", "data has no field 'v'; choose from u"),
         ("y.u[0]", "y is not a struct"),
         ("data.u.x", "data.u is not a struct"),
         ("data", "data is a dict"),

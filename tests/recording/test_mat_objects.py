@@ -110,8 +110,8 @@ def test_tables_and_times(tmp_path, version):
     rec = read(path, "tab.u", "tt.y", "clock", time="tt.Time")
     np.testing.assert_allclose(rec.signals["s"], np.column_stack([U[:, 0], Y[:, 0], T[:, 0]]), atol=1e-12)
     assert rec.sample_time == pytest.approx(H, rel=1e-12)
-    assert "tab is a MATLAB table object; name one of its fields, there is u, y; or" in refused(path, "tab")
-    assert "tab has no field 'U'; there is u, y (MATLAB table; " in refused(path, "tab.U")
+    assert "tab is a MATLAB table object; name one of its fields, such as u, y; or" in refused(path, "tab")
+    assert "tab has no field 'U'; choose from u, y (MATLAB table; " in refused(path, "tab.U")
 
 
 @VERSIONS
@@ -120,7 +120,7 @@ def test_what_cannot_be_read_names_class_and_way_out(tmp_path, version):
     model = opaque("idss", A=np.eye(2), Report=opaque("idresults.ssest", Fit=1.0))
     path = file(tmp_path, version, data=several, sys=model, ts=opaque("timeseries", Name="empty"))
     text = refused(path, "sys")
-    assert "column 'sys': sys is a MATLAB idss object; name one of its fields, there is A, Report" in text
+    assert "column 'sys': sys is a MATLAB idss object; name one of its fields, such as A, Report" in text
     assert text.endswith(PLAIN)
     text = refused(path, "sys.Report")
     assert "sys.Report is a MATLAB idresults.ssest object" in text

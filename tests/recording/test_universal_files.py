@@ -59,7 +59,7 @@ def test_functions_of_time_are_imported(tmp_path, capsys, binary):
     assert exact.sample_time == DT
     with pytest.raises(DataError, match="no function of time; frequency responses are for a fit's responses"):
         gbid.import_recording(path, {"signals": {"force": {"columns": ["1x / 9z"], "unit": "N"}}})
-    with pytest.raises(DataError, match=r"no function '2x'; there is 1x, 1-y"):
+    with pytest.raises(DataError, match=r"no function '2x'; choose from 1x, 1-y"):
         gbid.import_recording(path, {"signals": {"force": {"columns": ["2x"], "unit": "N"}}})
 
 

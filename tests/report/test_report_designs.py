@@ -146,7 +146,7 @@ def test_faults_of_designs_stand_on_top(page, results) -> None:
     assert "controller held: limited by kappa_x at its upper bound" in top
     assert not re.search("controller feedback: (held|peak)", top)  # 2.0, well below the cap
     lost = replace(held, result=replace(held.result, status=GainStatus.LIMITS_CONTRADICT, violation=0.1))
-    assert held_back(lost)[0] == "limits contradict, limits exceeded by 10 %"
+    assert held_back(lost)[0] == "infeasible, limits exceeded by 10 %"
 
 
 def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> None:

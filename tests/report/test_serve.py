@@ -152,7 +152,7 @@ def test_only_this_machine_and_only_these_pages(served):
     assert refused(server, "../e.yaml")[0] == 404
     assert "published" in get(server, "explorer")  # without a controller of its own it has that of the machine
     assert refused(server, "loop?pressure_bar=6")[1].startswith("loop: 'speed_rpm'; give pressure_bar, speed_rpm")
-    assert refused(server, "loop?design=none") == (400, "no design 'none'; there are published")
+    assert refused(server, "loop?design=none") == (400, "no design 'none'; choose from published")
     with pytest.raises(UsageError, match=f"port {server.server_address[1]}: .*; choose another with --port"):
         open_server(served[1] / "e.yaml", port=server.server_address[1])
 

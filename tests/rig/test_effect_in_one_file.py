@@ -65,7 +65,7 @@ def test_the_yaml_knows_it(slip, tmp_path: Path) -> None:
     assert load_experiment(path).spec.rig.effects == {"frame_slip": {"at_s": 0.05}}
     for wrong, reason in (
         (text.replace("frame_slip", "frame_slop"), "rig.effects.frame_slop: no effect 'frame_slop'; did you mean"),
-        (text.replace("at_s", "time"), "unknown option time; there is size_m, at_s"),
+        (text.replace("at_s", "time"), "unknown option time; choose from size_m, at_s"),
     ):
         path.write_text(wrong, encoding="utf-8")
         with pytest.raises(ExperimentError, match=reason) as caught:

@@ -218,7 +218,7 @@ def filled_entry_by_entry(p):
         (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are not parameters: stray"),
         (lambda p: {**arm(p), "A": [[0, 1], [0]]}, "A is not a matrix"),
         (lambda p: {**arm(p), "A": "zero"}, "A is not a matrix"),
-        (lambda p: {**arm(p), "A": [[p.b2]]}, "no parameter 'b2'; there are b1, K2"),
+        (lambda p: {**arm(p), "A": [[p.b2]]}, "no parameter 'b2'; choose from b1, K2"),
         (lambda p: {**arm(p), "A": [[p["b2"]]]}, "KeyError: 'b2'"),
         (lambda p: None, r"matrices\(p\) failed: TypeError"),
         (
@@ -279,7 +279,7 @@ def test_values_by_key_and_attribute():
     p = Values.of((Parameter("tau"), Parameter("k")), [1.5, 2.5])
     assert (p.tau, p["tau"], p.k) == (1.5, 1.5, 2.5)
     assert p.get("none", 0) == 0
-    with pytest.raises(AttributeError, match="no parameter 'd'; there are tau, k"):
+    with pytest.raises(AttributeError, match="no parameter 'd'; choose from tau, k"):
         p.d  # noqa: B018
 
 

@@ -87,7 +87,7 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     known = [each.name for each in fields(built_in[kind]) if each.name not in NOT_OPTIONS]
     unknown = [name for name in options if name not in known]
     if unknown:
-        raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; there are {', '.join(known)}")
+        raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; choose from {', '.join(known)}")
     return built_in[kind](**options)
 
 
@@ -114,7 +114,7 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     names = [parameter.name for parameter in structure.parameters]
     unknown = [name for name in gains if name not in names]
     if unknown:
-        raise UsageError(f"controller {structure.name!r}: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+        raise UsageError(f"controller {structure.name!r}: no gain {', '.join(unknown)}; choose from {', '.join(names)}")
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")

@@ -862,7 +862,7 @@ def _check_arguments(group: list[Recording], start: Sequence[tuple[float, float]
         if rec.sample_time != group[0].sample_time:
             raise UsageError(
                 f"recordings {group[0].name!r} and {rec.name!r} are sampled at {group[0].sample_time} s and "
-                f"{rec.sample_time} s; fit them apart"
+                f"{rec.sample_time} s; fit them separately"
             )
 
 

@@ -533,7 +533,7 @@ def recorded_disturbance(
     for recording in every:
         if signal not in recording.signals:
             raise UsageError(
-                f"recording {recording.name!r}: no signal {signal!r}; there are {', '.join(recording.signals)}"
+                f"recording {recording.name!r}: no signal {signal!r}; choose from {', '.join(recording.signals)}"
             )
         p, length = np.asarray(recording.signals[signal]), round(segment_s / recording.sample_time)
         if recording.sample_time != every[0].sample_time:

@@ -103,7 +103,7 @@ class Uncertainty(Brief):
                     f"uncertainty: samples have shape {samples.shape}, expected finite (n, {len(KEY_PARAMETERS)})"
                 )
         if any(i not in range(known) for i in self.chosen or ()):
-            raise UsageError(f"uncertainty: chosen = {self.chosen}; there are {known}, from 0")
+            raise UsageError(f"uncertainty: chosen = {self.chosen}; choose from the {known} draws, numbered from 0")
 
     def scenarios(self, points: FloatArray) -> FloatArray:
         """Return every drawn plant at every point, the model itself first: (m (1 + n), 16).
@@ -678,7 +678,7 @@ def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequen
         raise UsageError(f"{what}s = {wanted!r}: give each {what} once")
     for name in wanted or ():
         if name not in names:
-            raise UsageError(f"model {model!r} has no {what} {name!r}; there are {', '.join(names)}")
+            raise UsageError(f"model {model!r} has no {what} {name!r}; choose from {', '.join(names)}")
     return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
 
 

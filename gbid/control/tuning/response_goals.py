@@ -316,7 +316,9 @@ class MinDiskMargin(Wanted):
         """Return the measure of this goal."""
         n = len(plant.C)
         if self.channel is not None and self.channel not in range(n):
-            raise UsageError(f"MinDiskMargin: channel = {self.channel!r}; there are {n}, from 0")
+            raise UsageError(
+                f"MinDiskMargin: channel = {self.channel!r}; choose from the {n} channels, numbered from 0"
+            )
         name = "disk margin" if self.channel is None else f"disk margin of {plant.output_names[self.channel]}"
         bound = bound_over_frequency(2 / self.alpha, "MinDiskMargin")
         return ResponseMeasure(name, LoopResponse.BALANCED, bound, True, self.channel, self.weight)

@@ -48,7 +48,7 @@ class GainStatus(StrEnum):
     """All limits hold, and no method improved the design any more, but it has no certificate."""
     ITERATION_LIMIT = "iteration limit"
     """The budget or the iterations ended before there was a certificate; `violation` tells whether all limits hold."""
-    LIMITS_CONTRADICT = "limits contradict"
+    LIMITS_CONTRADICT = "infeasible"
     """Stable, but the search ended by itself without a design that keeps all limits."""
     NO_STABILISING_GAINS = "no stabilising gains"
     """No gains within the bounds were found that stabilise all loops."""

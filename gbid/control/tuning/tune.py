@@ -215,7 +215,7 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
     """Return what is given for gains by name."""
     unknown = [str(name) for name in given or {} if name not in names]
     if unknown:
-        raise UsageError(f"{what}: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+        raise UsageError(f"{what}: no gain {', '.join(unknown)}; choose from {', '.join(names)}")
     return dict(given or {})
 
 

@@ -85,7 +85,7 @@ def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, floa
     try:
         actuators = lpv.load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
     except UsageError as error:
-        raise UsageError(f"expected nominal, or a model or its file; {error}") from None
+        raise UsageError(f"expected the word nominal, a model name or a model file; {error}") from None
     if not actuators:
         raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
     return dict(actuators)

@@ -156,7 +156,7 @@ def _disturbance_problems(experiment: Experiment, pattern: str) -> Iterator[str]
         if not planned.stationary:
             yield f"recording {planned.name!r} is not stationary; its spectrum is not that of a disturbance"
         elif "p" not in planned.signals:
-            yield f"recording {planned.name!r} has no signal p; there is {', '.join(planned.signals)}"
+            yield f"recording {planned.name!r} has no signal p, only {', '.join(planned.signals)}"
 
 
 # ---- Stage of the tuned controllers (paper, Sec. 5).

@@ -795,7 +795,7 @@ def _expression(what: str, given: Any, names: set[str]) -> ca.SX:
         raise UsageError(f"{what} has shape {expression.shape}; it must be one number")
     if foreign := sorted({symbol.name() for symbol in ca.symvar(expression)} - names):
         raise UsageError(
-            f"{what} contains symbols that are no unknowns of the fit: {', '.join(foreign)}; an initial state that "
-            "is a function of the parameters is written with them"
+            f"{what} contains symbols that are no unknowns of the fit: {', '.join(foreign)}; use p and x0 only (the "
+            "parameters in place of an initial state that depends on them)"
         )
     return ca.densify(expression)
