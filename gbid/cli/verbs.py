@@ -128,7 +128,7 @@ def report(
     from gbid.cli.progress import reporting
     from gbid.cli.stages import conclude
     from gbid.core.errors import UsageError
-    from gbid.core.files import remove_stale_parts
+    from gbid.core.files import refuse_links, remove_stale_parts
     from gbid.core.index import load_index
     from gbid.experiment.run import Job
     from gbid.report.write import write_curves, write_report
@@ -136,6 +136,7 @@ def report(
     loaded = options.load(experiment)
     if not loaded.results.is_dir():
         raise UsageError(f"{loaded.results}: no results yet; run `gbid run {experiment}` first")
+    refuse_links(loaded.results)
     if output is not None:
         remove_stale_parts(output.parent, f".{output.name}.*")
     remove_stale_parts(loaded.results)

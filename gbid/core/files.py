@@ -74,6 +74,27 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder with a symbolic link in it, at any level: what is written there would change files elsewhere.
+
+    The folder itself may be a link.
+
+    Raises
+    ------
+    DataError
+        When there is a link; the text names it.
+    """
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_symlink():
+                raise DataError(
+                    f"{entry.path}: is a link, and gbid follows none in a results folder; remove it, or use --results "
+                    "to write elsewhere"
+                )
+            if entry.is_dir():
+                refuse_links(Path(entry.path))
+
+
 @contextlib.contextmanager
 def scratch_folder(beside: Path) -> Iterator[Path]:
     """Give a temporary folder beside a path. When its process is killed, `remove_stale_parts` finds it there.

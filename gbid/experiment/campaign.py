@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from gbid import identify
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError, nearest
-from gbid.core.files import find_stale_parts, remove_stale_parts
+from gbid.core.files import find_stale_parts, refuse_links, remove_stale_parts
 from gbid.core.index import NAME as INDEX
 from gbid.core.index import load_index, save_index
 from gbid.core.tables import write_csv
@@ -164,11 +164,12 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
     UsageError
         When another runner has locked the folder.
     DataError
-        When the folder cannot be written, or its file system has no locks.
+        When the folder cannot be written, its file system has no locks, or there is a link in it.
     """
     path = results / NAME
     try:
         results.mkdir(parents=True, exist_ok=True)
+        refuse_links(results)
         handle = _take(path, shared)
     except BlockingIOError:
         text = f"another gbid is working in this folder{_owner(path)}; wait for it, or use --results to write elsewhere"
@@ -194,7 +195,7 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
 def _take(path: Path, shared: bool) -> int:
     """Open and lock the file; try again when its last owner has removed it meanwhile."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         try:
             fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(handle), path.stat()):

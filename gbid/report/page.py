@@ -202,7 +202,7 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
             key=key,
             version=__version__,
             style=Markup(page_part("style.css")),
-            scripts=[script(page_part(name)) for name in SCRIPTS],
+            script=script_of_page(),
         )
     )
 
@@ -233,9 +233,15 @@ def page_part(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def script(text: str) -> Markup:
-    """Return a script for a page, which is strict as a whole."""
-    return Markup(text.replace('"use strict";\n', ""))
+def script_of_page() -> Markup:
+    """Return the element of the script of the page."""
+    return script(*map(page_part, SCRIPTS))
+
+
+def script(*texts: str) -> Markup:
+    """Return the element of a script, strict as a whole, that has several parts."""
+    strict = '"use strict";\n'
+    return Markup(f"<script>\n{strict}{''.join(text.replace(strict, '') for text in texts)}</script>")
 
 
 def packed_json(value: Any) -> Markup:

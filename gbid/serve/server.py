@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
 import sys
 import threading
 import time
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from hashlib import sha256
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from io import BufferedReader, RawIOBase
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -35,7 +39,7 @@ from gbid.core.index import load_index, version_of
 from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.report.page import environment, page_part, script
+from gbid.report.page import environment, page_part, script, script_of_page
 from gbid.report.read import AssessedDesign, Results, report_key
 from gbid.report.sections import Kept, curves_script
 from gbid.report.write import report_text
@@ -302,7 +306,7 @@ _FOLLOW = "</body>"
 
 def report_page(live: Live) -> str:
     """Return the report with the line that follows the campaign."""
-    added = environment(_own).get_template("follow.html.j2").render(follow=script(_own("follow.js")))
+    added = environment(_own).get_template("follow.html.j2").render(script=_follow())
     return live.page().replace(_FOLLOW, f"{added}\n{_FOLLOW}")
 
 
@@ -320,8 +324,16 @@ def explorer_page(live: Live) -> str:
         name=live.name,
         designs=designs,
         style=Markup(page_part("style.css")),
-        scripts=[script(page_part("charts.js")), script(_own("explorer_page.js"))],
+        script=_explore(),
     )
+
+
+def _follow() -> Markup:
+    return script(_own("follow.js"))
+
+
+def _explore() -> Markup:
+    return script(page_part("charts.js"), _own("explorer_page.js"))
 
 
 def _own(name: str) -> str:
@@ -365,12 +377,25 @@ _OWN = ("127.0.0.1", "localhost")  # a request to another name comes from a page
 THREADS = 16
 """Requests that are answered at a time: a browser opens at most six connections to a server."""
 PATIENCE_S = 10.0
-"""Time for a client to send the next bytes of its request or to take those of the answer [s]; it is on this machine."""
-# All of a page is in the page itself; it asks this server for states, loops and curves of fits only.
+"""Time for a client to send its whole request, and to take the whole answer [s]; it is on this machine."""
+# All of a page is in the page itself; it asks this server for states, loops and curves of fits only. Scripts in a page
+# are those of gbid, by their digests.
 _POLICY = (
-    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; "
+    "default-src 'none'; script-src 'self' {digests}; style-src 'unsafe-inline'; img-src 'self' data:; "
     "font-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+
+
+@cache
+def _policy() -> str:
+    texts = (
+        str(element).removeprefix("<script>").removesuffix("</script>")
+        for element in (script_of_page(), _follow(), _explore())
+    )
+    digests = (b64encode(sha256(text.encode()).digest()).decode() for text in texts)
+    return _POLICY.format(digests=" ".join(f"'sha256-{digest}'" for digest in digests))
+
+
 _HTML, _JSON, _SCRIPT = "text/html; charset=utf-8", "application/json", "text/javascript; charset=utf-8"
 
 
@@ -391,8 +416,11 @@ class Server(ThreadingHTTPServer):
         super().__init__(*given)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; a connection beyond `THREADS` is closed at once."""
+        """Answer in a thread of its own; a connection beyond `THREADS` is told to come back."""
         if not self._free.acquire(blocking=False):
+            with contextlib.suppress(OSError):
+                request.setblocking(False)
+                request.send(b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n")
             self.shutdown_request(request)
             return
         try:
@@ -452,6 +480,21 @@ def open_server(
         raise UsageError(f"port {port}: {error}; choose another with --port") from None
 
 
+class _UntilDeadline(RawIOBase):
+    """Bytes of a connection that come within a time."""
+
+    def __init__(self, connection: socket.socket, seconds: float) -> None:
+        self._connection, self._deadline = connection, time.monotonic() + seconds
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what is there; a `TimeoutError` after the deadline."""
+        self._connection.settimeout(max(1e-3, self._deadline - time.monotonic()))
+        return self._connection.recv_into(buffer)
+
+
 class _Handler(BaseHTTPRequestHandler):
     """Answers to GET: report, explorer, state and loops. Nothing is written, and no file is served by its name."""
 
@@ -463,7 +506,16 @@ class _Handler(BaseHTTPRequestHandler):
         self._live = live
         super().__init__(*given)  # type: ignore[arg-type]  # request, address and server, from socketserver
 
+    def setup(self) -> None:
+        """Prepare to read the request within one deadline, which a client that sends byte after byte does not move."""
+        super().setup()
+        self.rfile = BufferedReader(_UntilDeadline(self.connection, self.timeout))
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
     def do_GET(self) -> None:
+        self.connection.settimeout(self.timeout)
         host = self.headers.get("Host", "").rpartition(":")[0]
         if host not in _OWN:
             self._send(HTTPStatus.FORBIDDEN, "text/plain", "this server answers on this machine only")
@@ -483,6 +535,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; choose from {', '.join(answers)}")
             return
         kind, answer = answers[parts.path]
+        if kind != _HTML and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
+            self._send(HTTPStatus.FORBIDDEN, "text/plain", "data of this server are for its own pages")
+            return
         query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         try:
             self._send(HTTPStatus.OK, kind, answer(query))
@@ -507,10 +562,12 @@ class _Handler(BaseHTTPRequestHandler):
         body = text.encode()
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         self.send_response(status)
-        for name, value in {**headers, "X-Content-Type-Options": "nosniff", "Content-Security-Policy": _POLICY}.items():
+        headers |= {"X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin"}
+        for name, value in {**headers, "Content-Security-Policy": _policy()}.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
+        if self.command != "HEAD":
+            self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
         """Print nothing: the terminal shows the address only."""

@@ -1,6 +1,8 @@
 """Server of the results: pages, loops by the library, and only for this machine."""
 
+import base64
 import contextlib
+import hashlib
 import json
 import re
 import socket
@@ -203,6 +205,46 @@ def test_half_open_requests_hold_few_threads_for_a_short_time(served, monkeypatc
     assert "Traceback" not in capfd.readouterr().err
     with urllib.request.urlopen(server.address + "state", timeout=60) as answer:
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+
+
+def test_a_dripping_request_ends_and_a_full_server_says_so(served, monkeypatch):
+    server, _ = served
+    monkeypatch.setattr(server.RequestHandlerClass.func, "timeout", 1.5)
+    dripping = [socket.create_connection(server.server_address) for _ in range(THREADS)]
+    time.sleep(0.3)
+    with socket.create_connection(server.server_address) as further:
+        assert further.recv(100).startswith(b"HTTP/1.0 503 ")
+    ends = time.monotonic() + 10
+    while dripping and time.monotonic() < ends:  # each sends a byte more often than the time-out
+        for connection in list(dripping):
+            try:
+                connection.sendall(b"G")
+            except OSError:
+                dripping.remove(connection)
+                connection.close()
+        time.sleep(0.2)
+    assert not dripping
+    assert json.loads(get(server, "state"))["key"]
+
+
+def test_other_sites_read_nothing_and_pages_run_scripts_of_gbid_only(served):
+    server, _ = served
+    for path, site, status in (
+        ("/state", "cross-site", 403), ("/state", "same-site", 403), ("/state", "same-origin", 200),
+        ("/report_curves/piezos/p6_n0_prbs1.js", "cross-site", 403), ("/", "cross-site", 200), ("/", "none", 200),
+    ):  # fmt: skip
+        connection = HTTPConnection("127.0.0.1", server.server_address[1])
+        connection.request("HEAD", path, headers={"Sec-Fetch-Site": site})
+        answer = connection.getresponse()
+        assert (answer.status, answer.read()) == (status, b"")
+        connection.close()
+    assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert int(answer.headers["Content-Length"]) == len(get(server, "").encode())
+    policy = answer.headers["Content-Security-Policy"]
+    assert "'unsafe-inline'" not in re.search(r"script-src[^;]*", policy)[0]
+    for page in ("", "explorer"):
+        for text in re.findall(r"<script>(.*?)</script>", get(server, page), re.DOTALL):
+            assert f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" in policy
 
 
 def test_a_defect_of_an_answer_is_printed_and_a_client_that_left_is_not(served, capfd):
