@@ -16,7 +16,7 @@ from types import FrameType
 
 import typer
 
-from gbid.cli.printing import print_json, tell
+from gbid.cli.printing import print_json, tell, tell_error
 from gbid.core.errors import GbidError, UsageError, from_interrupt
 
 INTERRUPTED = 130
@@ -140,7 +140,7 @@ def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> 
     if debug:
         tell(traceback.format_exc().rstrip())
     for line in lines:
-        tell(f"gbid: {word}{line}")
+        tell_error(line, word)
     if as_json:
         print_json({"error": {"exit_code": code, "messages": lines}})
     raise typer.Exit(code)

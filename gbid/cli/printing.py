@@ -32,12 +32,20 @@ def tell(text: str) -> None:
         print(printable(line), file=sys.stderr, flush=True)  # noqa: T201
 
 
+def tell_error(text: str, word: str = "error: ") -> None:
+    """Print an error of gbid as one line of at most 500 characters; of a longer one the middle is left out."""
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+    tell(f"gbid: {word}{text}")
+
+
 def tell_line(text: str) -> None:
     """Print a line of gbid on standard error."""
     tell(f"gbid: {text}")
 
 
 _PIPE_WIDTH = 140
+_LONGEST = 470  # of the text of an error
 
 
 def print_notes(notes: Iterable[str]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from gbid.cli.options import STAGE_VERBS, CommonOptions
-from gbid.cli.printing import print_json, print_notes, print_tables, tell
+from gbid.cli.printing import print_json, print_notes, print_tables, tell, tell_error
 from gbid.cli.progress import MANY, causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError, nearest
 from gbid.core.index import load_index
@@ -94,16 +94,16 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     codes += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
     code = min(codes, default=0)
     for o in stuck:
-        tell(f"gbid: error: {o.item.stage} {o.item}: {o.text} (written to {o.path})")
+        tell_error(f"{o.item.stage} {o.item}: {o.text} (written to {o.path})")
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
         pair = f"crossval {row['fit']}: model of {row['model']} on {row['recording']}: {row['output']}"
         below = f"{row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %"
         remedy = "look at its figures (`residuals: true`), or lower minimum_percent"
-        tell(f"gbid: error: {pair} {below}; {remedy}")
+        tell_error(f"{pair} {below}; {remedy}")
     if len(missed) > _MISSED:
-        tell(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed")
+        tell_error(f"crossval: {len(missed)} pairs below the minimum; the worst are listed")
     for line in causes_in_words(failed, code, _CODES):
-        tell(f"gbid: {line}")
+        tell_error(line, "")
     if code:
         raise typer.Exit(code)
     if advice:

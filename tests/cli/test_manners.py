@@ -319,3 +319,10 @@ def test_a_memory_that_others_may_write_is_not_believed(tmp_path, monkeypatch, c
         assert capsys.readouterr().err.count("is executed with your rights") == said
         if not said:
             (tmp_path / "cache" / "seen-code").chmod(0o777)
+
+
+def test_an_error_is_one_line_of_at_most_500_characters_without_control_characters(capsys):
+    (line,) = printed_by(capsys, "explain", "\x1b[31m" + "x" * 5000 + "\n", code=2).err.splitlines()
+    assert len(line) <= 500
+    assert line.isprintable()
+    assert "`gbid explain` lists all" in line

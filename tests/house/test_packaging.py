@@ -1,6 +1,7 @@
 """What travels inside the wheel, and from where; read from the build's own settings."""
 
 import itertools
+import json
 import re
 import tomllib
 
@@ -62,6 +63,13 @@ def test_the_readme_of_a_package_index_has_no_link_to_a_file_beside_it():
         text = re.sub(step["pattern"], step["replacement"], text)
     assert not re.findall(r"\]\((?!https?:)", text)
     assert "Method: the mathematics." in text
+
+
+def test_the_list_of_components_has_the_pinned_versions_and_their_licences():
+    listed = json.loads(licences.COMPONENTS.read_text(encoding="utf-8"))["components"]
+    assert {each["name"]: each["version"] for each in listed} == licences.pinned()  # else run `make licences`
+    assert all(each["licenses"][0]["license"]["name"] not in ("not known", "none stated") for each in listed)
+    assert len(listed) > 25
 
 
 def test_the_licence_of_each_dependency_is_named():

@@ -1,5 +1,6 @@
-"""Licences of the packages that gbid needs or may use, from their metadata: `make licences` writes them down."""
+"""Licences of the packages that gbid needs or may use: `make licences` writes the table and the list of components."""
 
+import json
 import re
 import sys
 import tomllib
@@ -7,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 
 from places import DOCS, ROOT
 
-PAGE = DOCS / "install.md"
+PAGE, COMPONENTS = DOCS / "install.md", DOCS / "sbom.cdx.json"
 _DEVELOPERS = ("test", "docs")
 _HEADING = "| package | installed by | licence |\n|---|---|---|\n"
 
@@ -43,8 +44,37 @@ def rows() -> list[str]:
     return [f"| `{package}` | {by[package]} | {words} |" for package, words in results.items()]
 
 
+def pinned() -> dict[str, str]:
+    """The versions of the packages that `make run` installs."""
+    text = (ROOT / "requirements.txt").read_text(encoding="utf-8").partition("# ---- tests and docs")[0]
+    return dict(re.findall(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)", text, re.MULTILINE))
+
+
+def components() -> dict[str, object]:
+    """The list of components (CycloneDX): the pinned packages that gbid needs, with their licences."""
+    kept = json.loads(COMPONENTS.read_text(encoding="utf-8")) if COMPONENTS.exists() else {"components": []}
+    known = {each["name"]: each["licenses"][0]["license"]["name"] for each in kept["components"]}
+    return {
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.6",
+        "version": 1,
+        "metadata": {"component": {"type": "library", "name": "gbid"}},
+        "components": [
+            {
+                "type": "library",
+                "name": name,
+                "version": number,
+                "purl": f"pkg:pypi/{name}@{number}",
+                "licenses": [{"license": {"name": licence(name) or known.get(name, "not known")}}],
+            }
+            for name, number in pinned().items()
+        ],
+    }
+
+
 def write() -> None:
-    """Write the table into the page."""
+    """Write the table into the page, and the list of components beside it."""
+    COMPONENTS.write_text(json.dumps(components(), indent=1) + "\n", encoding="utf-8")
     before, _, after = PAGE.read_text(encoding="utf-8").partition(_HEADING)
     following = after.partition("\n\n")[2]
     PAGE.write_text(before + _HEADING + "\n".join(rows()) + "\n\n" + following, encoding="utf-8")
