@@ -8,7 +8,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
@@ -261,7 +261,7 @@ def as_estimates(
         When no fit remains.
     """
     if isinstance(fits, Estimates):
-        return _finite(fits, np.ones(len(fits.recordings), dtype=bool))
+        return _finite(fits, [""] * len(fits.recordings))
     if isinstance(fits, FitTable):
         if points is not None:
             raise UsageError("points: a table of fits contains its operating points; leave points out")
@@ -278,7 +278,9 @@ def as_estimates(
             fits.values[:, columns],
             fits.covariance_of(KEY_PARAMETERS),
         )
-        return _finite(estimates, fits.success)
+        made = fits.structure != ""
+        rows = zip(fits.success.tolist(), made.tolist(), fits.status.tolist(), strict=True)
+        return _finite(estimates, [_reason(success, str(status) if not made else "") for success, made, status in rows])
     what = f"({', '.join(scheduling)})"
     if points is None or len(points) != len(fits):
         given = "none" if points is None else str(len(points))
@@ -305,7 +307,7 @@ def as_estimates(
         parameters=parameters,
         scheduling=scheduling,
     )
-    return _finite(estimates, np.array([fit.success for fit in fits], dtype=bool))
+    return _finite(estimates, [_reason(fit.success) for fit in fits])
 
 
 def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:
@@ -317,20 +319,25 @@ def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:
     return covariance
 
 
-def _finite(estimates: Estimates, success: BoolArray) -> Estimates:
-    """Return the estimates without failed fits and values that are not finite; list these by name."""
+def _reason(success: bool, failure: str = "") -> str:
+    """Return why a fit gives no estimates: the failure of a fit that does not exist; empty for one that converged."""
+    return "" if success else f"has no fit: {failure}" if failure else "its fit did not converge"
+
+
+def _finite(estimates: Estimates, reasons: Sequence[str]) -> Estimates:
+    """Return the estimates of fits without a reason against them and with finite values; list the others by name."""
     keep, left_out = [], list(estimates.left_out)
     for i, name in enumerate(estimates.recordings):
         bad = [key for key, v in zip(estimates.parameters, estimates.values[i], strict=True) if not np.isfinite(v)]
         if not np.isfinite(estimates.points[i]).all():
             left_out.append(f"{name}: no operating point ({' and '.join(estimates.scheduling)})")
-        elif not success[i]:
-            left_out.append(f"{name}: its fit did not converge")
+        elif reasons[i]:
+            left_out.append(f"{name}: {reasons[i]}")
         elif bad:
             left_out.append(f"{name}: {', '.join(bad)} not finite")
         else:
             keep.append(i)
     if not keep:
-        reasons = "; ".join(left_out[:3]) or "there are none"
-        raise DataError(f"there is no fit to which surfaces can be fitted ({reasons})")
+        some = "; ".join(left_out[:3]) or "there are none"
+        raise DataError(f"there is no fit to which surfaces can be fitted ({some})")
     return replace(estimates.rows(keep), left_out=tuple(left_out))

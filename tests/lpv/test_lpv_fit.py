@@ -11,7 +11,7 @@ from study_rig import CAMPAIGN, PAPER, POINTS
 import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics
-from gbid.lpv.estimates import _finite, chosen_exponents, orthonormal
+from gbid.lpv.estimates import _finite, _reason, chosen_exponents, orthonormal
 from gbid.lpv.model import regressors
 from gbid.lpv.regression import (
     in_units_of_terms,
@@ -280,9 +280,13 @@ def test_a_negative_delay_is_told_with_its_place():
 
 def test_fits_that_did_not_converge_are_left_out_by_name():
     data, _ = campaign(seed=13)
-    converged = np.arange(len(data.recordings)) != 4
-    assert _finite(data, converged).left_out == ("r4: its fit did not converge",)
-    assert len(_finite(data, converged).recordings) == len(data.recordings) - 1
+    reasons = [""] * len(data.recordings)
+    reasons[4:6] = _reason(False), _reason(False, "import r5: the file is truncated")
+    left = _finite(data, reasons)
+    assert left.left_out == (
+        "r4: its fit did not converge", "r5: has no fit: import r5: the file is truncated",
+    )  # fmt: skip
+    assert len(left.recordings) == len(data.recordings) - 2
 
 
 def test_failed_and_broken_fits_are_left_out_by_name():
