@@ -69,7 +69,7 @@ def test_a_german_folder_becomes_a_controller_in_c_with_two_answers(folder, tmp_
     assert len(lines) <= 25
     assert max(map(len, lines)) <= max(80, len(str(tmp_path)) + 40)
     page = (tmp_path / "own" / "results" / "own" / "report.html").read_text(encoding="utf-8")
-    first = [page.index(words) for words in ("Modes with 95 % intervals", "design feedback (P", 'id="data-title"')]
+    first = [page.index(words) for words in ("Modes: means over the models", "design feedback (P", 'id="data-title"')]
     assert max(first[:2]) < first[2]  # results before data
     surfaces = load_model(tmp_path / "own" / "results" / "own" / "lpv" / "bearing.yaml")
     for pressure in (5.0, 7.0):
