@@ -328,6 +328,13 @@ class ProgressReporter(Reporter):
         text = f"{self._label}: {step.stage}, {step.count} designs{pace}, best {step.value:.5g}{excess}"
         self._step(text, often)
 
+    def lose(self, items: Sequence[Item], count: int) -> None:
+        """Print the items of a lost worker."""
+        named = ", ".join(f"{item.stage} {item}" for item in items[:NAMED])
+        more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
+        lost = "a Dask worker was lost" if count == 1 else f"{count} Dask workers were lost"
+        self._say(f"{lost}; tried again: {named}{more}")
+
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""
         tally = self._tally

@@ -13,6 +13,7 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
+from itertools import count
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -326,6 +327,7 @@ _CALM = {  # Dask's own monitoring, which takes over a third of the time of shor
     # Dask's default contains MALLOC_TRIM_THRESHOLD_, with which each larger array is allocated anew by the system.
     "distributed.nanny.pre-spawn-environ": _OF_WORKERS,
 }
+_TRIED_AGAIN = "tried again, because the Dask worker that had it was lost"
 _one_at_a_time = threading.Lock()  # in each worker process: the solver is not thread-safe
 
 
@@ -367,7 +369,9 @@ class DaskEngine:
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
         """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`.
 
-        As many tasks are reported as begun as there are threads: workers do not say which task they run.
+        As many tasks are reported as begun as there are threads: workers do not say which task they run. The reporter
+        is told of each lost worker with the items that it had; these run on another worker, and their outcomes say so.
+        For that the client subscribes to the scheduler's topic ``all``.
 
         Raises
         ------
@@ -384,12 +388,31 @@ class DaskEngine:
         shipped, threads = pickle.dumps(bare_job(job)), max(1, sum(self.client.nthreads().values()))
         waiting, running = dict.fromkeys(range(len(tasks))), set[int]()
         sent, answered = {}, as_completed()
+        chunk_of, tried_again = dict[Any, Sequence[int]](), set[int]()
+        events, lost = deque[Any](), count(1)  # events come in another thread
 
         def submit(chunk: Sequence[int]) -> None:
             shipment = [bare_task(tasks[number]) for number in chunk]
             future = self.client.submit(_attempt_there, shipped, shipment, self._cluster is not None, pure=False)
-            sent[future] = chunk
+            sent[future] = chunk_of[future.key] = chunk
             answered.add(future)
+
+        def tell_losses() -> None:
+            while events:
+                _, event = events.popleft()
+                if event.get("action") != "remove-worker":
+                    continue
+                numbers = sorted(number for key in event["processing-tasks"] for number in chunk_of.get(key, ()))
+                if numbers:
+                    tried_again.update(numbers)
+                    job.reporter.lose([tasks[number].item for number in numbers], next(lost))
+
+        def outcome_of_answer(number: int, answer: Outcome | str | None) -> Outcome:
+            if answer is None:
+                return _crashed(job, tasks[number])
+            outcome = _checked(answer, tasks[number])
+            again = number in tried_again and outcome.state == "made"
+            return replace(outcome, text="; ".join(filter(None, [_TRIED_AGAIN, outcome.text]))) if again else outcome
 
         def begin(number: int) -> None:
             del waiting[number]
@@ -405,11 +428,13 @@ class DaskEngine:
 
         size = min(_LARGEST, max(1, len(tasks) // (threads * _JOURNEYS)))
         try:
+            self.client.subscribe_topic("all", events.append)
             for first in range(0, len(tasks), size):  # all at once: workers that join later take their share
                 submit(range(len(tasks))[first : first + size])
             begin_next()
             for future in answered:
                 chunk, error = sent.pop(future), future.exception()
+                tell_losses()
                 if isinstance(error, KilledWorker) and len(chunk) > 1:
                     for number in chunk:  # one of them killed it; finished ones are kept
                         submit([number])
@@ -418,13 +443,14 @@ class DaskEngine:
                     raise error
                 for number, answer in zip(chunk, [None] if error else future.result(), strict=True):
                     begin_next(number)
-                    yield number, _crashed(job, tasks[number]) if answer is None else _checked(answer, tasks[number])
+                    yield number, outcome_of_answer(number, answer)
         except (OSError, CancelledError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             text = f"the connection to the Dask scheduler is lost ({why})"
             raise UsageError(f"{text}; start it and run again; complete results stay") from None
         finally:
             with contextlib.suppress(OSError, CancelledError):  # when the scheduler or a worker has just ended
+                self.client.unsubscribe_topic("all")
                 self.client.cancel(list(sent))
 
     def close(self) -> None:

@@ -95,6 +95,9 @@ class Reporter:
     def search(self, step: SearchStep) -> None:
         """Receive a step of a search for gains."""
 
+    def lose(self, items: Sequence[Item], count: int) -> None:
+        """Receive the items of a worker that was lost, which are tried again, and the number of workers lost so far."""
+
     def end(self, outcome: Outcome) -> None:
         """Receive the outcome of an item."""
 

@@ -46,13 +46,16 @@ class Killer:
     """A reporter that kills one of the workers when the second fit is there."""
 
     def __init__(self, engine):
-        self.engine, self.fits, self.victim = engine, 0, None
+        self.engine, self.fits, self.victim, self.lost = engine, 0, None, []
 
     def expect(self, stage, todo, there, failed):
         pass
 
     def begin(self, item):
         pass
+
+    def lose(self, items, count):
+        self.lost.append((count, *items))
 
     def end(self, outcome):
         self.fits += outcome.item.stage == "fit"
@@ -69,6 +72,9 @@ def test_one_of_two_workers_is_killed(engine, tmp_path):
         outcomes = run_campaign(Job(job.experiment, reporter=killer, engine=engine))
     assert killer.victim is not None
     assert [o.state for o in outcomes] == ["made"] * 8
+    ((count, *items),) = killer.lost
+    assert count == 1
+    assert {o.item for o in outcomes if o.text.startswith("tried again")} == set(items) != set()
     assert gbid("batch", two, "--collect") == 0
     tables = [rows_of(path.parent / "results" / "springs" / "table.csv") for path in (one, two)]
     assert tables[0] == tables[1]
