@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -270,8 +272,24 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
     bar = None if verbose or not sys.stderr.isatty() else LiveBar()
     with bar.progress if bar is not None else nullcontext():
         reporter = ProgressReporter(verbose, bar)
-        yield reporter
+        with _compilations_told(tell if bar is None else bar.say):
+            yield reporter
         reporter.close()
+
+
+@contextmanager
+def _compilations_told(say: Callable[[str], None]) -> Iterator[None]:
+    """Tell of what this process compiles, while it waits for the compiler."""
+    handler, process, logger = logging.Handler(), os.getpid(), logging.getLogger("gbid.compiled")
+    handler.emit = lambda record: say(record.getMessage()) if os.getpid() == process else None  # type: ignore[method-assign]
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 class ProgressReporter(Reporter):

@@ -10,6 +10,7 @@ import atexit
 import contextlib
 import ctypes
 import hashlib
+import logging
 import os
 import platform
 import shlex
@@ -317,7 +318,14 @@ def _current(compiler: Compiler, flags: tuple[str, ...], source: str, library: P
     return _built(compiler, flags, source, library)
 
 
+_LONG = 10_000  # characters of a source whose compilation takes seconds, of which a verb tells
+
+
 def _built(compiler: Compiler, flags: tuple[str, ...], source: str, library: Path) -> Library:
+    if len(source) > _LONG:
+        logging.getLogger("gbid.compiled").info(
+            "compiling, once for this model and machine (%d kB of C, some seconds)", len(source) // 1000
+        )
     with atomic_path(library, overwrite=True) as part:
         compile_source(compiler, flags, source, part)
         part.write_bytes(with_checksum(part.read_bytes()))  # what follows the end of a library is ignored

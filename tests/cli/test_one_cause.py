@@ -1,12 +1,15 @@
 """One cause, one line: what could not be made because of it is counted, and the last line is the cause."""
 
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 import typer
 
-from gbid.cli.progress import ProgressReporter
+from gbid.cli.progress import ProgressReporter, reporting
 from gbid.cli.stages import finish
+from gbid.core import compiled
 from gbid.experiment.fields import Item
 from gbid.experiment.run import Outcome
 
@@ -58,6 +61,25 @@ def test_inputs_that_were_missing_before_have_a_line_for_each_stage(capsys):
         "gbid: error: crossval: 5 results not made: file is missing",
         "gbid: error: fit: 6 models not made: its input is missing",
     ]
+
+
+def test_a_long_compilation_is_told_before_it_begins(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(compiled, "compile_source", lambda *_: sys.stderr.write("compiler\n"))
+    source = " " * 20_000
+    for said in (reporting(), nullcontext()):
+        with said, pytest.raises(OSError, match="a.so"):
+            compiled._built(compiled.Compiler(("cc",), ""), (), source, tmp_path / "a.so")
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first.endswith("compiling, once for this model and machine (20 kB of C, some seconds)")
+    assert rest == ["compiler", "compiler"]
+
+
+def test_a_lost_worker_is_told_with_its_items(capsys):
+    reporter = ProgressReporter()
+    reporter.lose([Item("fit", f"s{i}") for i in range(12)], 2)
+    line = "2 Dask workers were lost; tried again: fit s0, fit s1, "
+    assert line in (told := capsys.readouterr().err)
+    assert told.rstrip().endswith("fit s9 and 2 more")
 
 
 def test_progress_counts_what_could_not_be_made_once_for_each_stage(capsys):
