@@ -67,7 +67,7 @@ def test_a_long_compilation_is_told_before_it_begins(capsys, monkeypatch, tmp_pa
     monkeypatch.setattr(compiled, "compile_source", lambda *_: sys.stderr.write("compiler\n"))
     source = " " * 20_000
     for said in (reporting(), nullcontext()):
-        with said, pytest.raises(OSError, match="a.so"):
+        with said, pytest.raises(OSError, match=r"a\.so"):
             compiled._built(compiled.Compiler(("cc",), ""), (), source, tmp_path / "a.so")
     first, *rest = capsys.readouterr().err.splitlines()
     assert first.endswith("compiling, once for this model and machine (20 kB of C, some seconds)")
