@@ -1,7 +1,6 @@
 """The compiled kernel against the portable one, its cache, and machines without a compiler."""
 
 import multiprocessing
-import os
 import stat
 import subprocess
 import sys
@@ -37,12 +36,6 @@ from gbid.structure import PiezoPair, Plant, RotorBearing
 
 PORTABLE = PortableLinearKernel()
 GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """A cache of this module's own, so that what it finds there does not hang on earlier runs."""
-    return tmp_path_factory.mktemp("kernels")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -136,9 +129,8 @@ SAME_PASSES += [(case, ((300, 131), 50)) for case in CASES]
 
 @NEEDS_COMPILER
 @pytest.mark.parametrize(("case", "shape"), SAME_PASSES)
-def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
+def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh):
     """All that a kernel answers, compiled and portable."""
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
     if not case.startswith("every"):
         fresh.setenv("GBID_CFLAGS", "-O1")
     predictor, theta, blocks, starts, weight = problem(case, *shape)
@@ -176,9 +168,8 @@ def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
 
 @NEEDS_COMPILER
 @pytest.mark.parametrize("width", [2, 4, 8])
-def test_vectors_of_every_width_give_the_same_sums(width, fresh, cache):
+def test_vectors_of_every_width_give_the_same_sums(width, fresh):
     """The vectors of SSE2, AVX2 and AVX-512 on any processor, against those of the target."""
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, blocks, starts, weight = problem("every", *SHAPES["ragged, padded"])
     v, random = predictor.at(theta), np.random.default_rng(8)
     at, results = Lagrangian(starts, random.normal(size=starts.shape), weight), []
@@ -197,8 +188,7 @@ def test_vectors_of_every_width_give_the_same_sums(width, fresh, cache):
 
 
 @NEEDS_COMPILER
-def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
+def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh):
     predictor, theta, blocks, starts, weight = problem("every", (100,), 20)
     zero = theta.copy()
     zero[[q.name for q in predictor.free].index("d")] = 0.0
@@ -214,8 +204,7 @@ def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
 
 @NEEDS_COMPILER
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
-def test_both_engines_fit_alike(focus, fresh, cache):
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
+def test_both_engines_fit_alike(focus, fresh):
     rec = simulated(MODE, MODE_AT, levels(700), noise=0.3)
     a = fit(MODE, rec, focus=focus)
     with no_compiler():
@@ -339,9 +328,8 @@ print(result.engine, (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0
 
 
 @NEEDS_COMPILER
-def test_loading_a_kernel_leaves_small_numbers_alone(cache):
+def test_loading_a_kernel_leaves_small_numbers_alone():
     """A library linked for fast mathematics would make the process flush subnormal numbers to zero."""
     script = SUBNORMAL.format(tests=str(SUPPORT))
-    environment = {**os.environ, "GBID_CACHE_DIR": str(cache)}
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
     assert run.stdout.split() == ["compiled", "True", "True", "True"], run.stderr
