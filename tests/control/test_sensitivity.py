@@ -143,3 +143,13 @@ def test_bad_input() -> None:
         gbid.sensitivities(MACHINE.plant_at(6, 0), PAPER.discretise(1e-3))
     with pytest.raises(UsageError, match="has exact delays"):
         peak_gain(exact_plant(MACHINE, 6, 0))
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (3, 1), (2, 5), (4, 3)])
+def test_largest_singular_values_of_any_shape_and_size(shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(1)
+    stack = random.normal(size=(6, *shape)) + 1j * random.normal(size=(6, *shape))
+    stack *= np.array([1.0, 1e-100, 1e100, 0.0, 1e-5, 1.0])[:, None, None]
+    stack[5, 0, 0] = np.inf
+    expected = [*(np.linalg.norm(each, 2) for each in stack[:5]), np.inf]
+    np.testing.assert_allclose(largest_singular_values(stack), expected, rtol=1e-13)

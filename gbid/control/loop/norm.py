@@ -82,13 +82,19 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
 
     It is infinite for a matrix that is not finite: the response at a pole on the imaginary axis.
     """
-    if matrices.shape[-2:] != (2, 2):
-        finite = np.asarray(np.isfinite(matrices).all(axis=(-2, -1)))
-        values = np.linalg.svd(np.where(finite[..., None, None], matrices, 0.0 + 0.0j), compute_uv=False)[..., 0]
-        return np.asarray(np.where(finite, values, inf))
-    a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
-    squares = (matrices.real**2 + matrices.imag**2).sum(axis=(-2, -1))
-    return larger_of_two(squares, np.abs(a * d - b * c))
+    if matrices.shape[-2:] == (2, 2):
+        a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
+        squares = (matrices.real**2 + matrices.imag**2).sum(axis=(-2, -1))
+        return larger_of_two(squares, np.abs(a * d - b * c))
+    finite = np.asarray(np.isfinite(matrices).all(axis=(-2, -1)))
+    M = np.where(finite[..., None, None], matrices, 0.0 + 0.0j)
+    wide = M.shape[-2] < M.shape[-1]
+    size = np.maximum(np.abs(M).max(axis=(-2, -1), initial=0.0), 1e-300)[..., None, None]
+    M = M / size
+    # the largest eigenvalue of the smaller Gram matrix takes a third of the time of a decomposition
+    gram = M @ M.conj().swapaxes(-2, -1) if wide else M.conj().swapaxes(-2, -1) @ M
+    values = size[..., 0, 0] * np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[..., -1], 0.0))
+    return np.asarray(np.where(finite, values, inf))
 
 
 def larger_of_two(squares: FloatArray, determinant: FloatArray) -> FloatArray:

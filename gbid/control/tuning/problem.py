@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 from time import monotonic
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -62,6 +62,8 @@ class LoopState:
     steps: FloatArray
     known_system: Eigensystem | None = None
     _subspaces: dict[int, InvariantSubspaces] = field(default_factory=dict, init=False, repr=False)
+    computed: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+    """What measures have computed of these loops, by a key of theirs."""
 
     @cached_property
     def system(self) -> Eigensystem:

@@ -105,6 +105,11 @@ class ResponseMeasure(Measure):
         return Pieces(loop, np.log(self.weight * value), gradient, place.astype(complex) * 1j)
 
     def _peaks(self, state: LoopState) -> Peaks:
+        if self not in state.computed:
+            state.computed[self] = self._found(state)
+        return state.computed[self]  # type: ignore[no-any-return]
+
+    def _found(self, state: LoopState) -> Peaks:
         T = state.family.sample_time
 
         def size(responses: ComplexArray, frequency: FloatArray) -> FloatArray:
@@ -383,13 +388,17 @@ class PathMeasure(ResponseMeasure):
 
     def _along(self, state: LoopState) -> LoopState:
         assert isinstance(state.family, ControlLoops)
-        family = state.family.along(self.path)
-        take = family.derivatives if isinstance(state.loops, Derivatives) else family.matrices
-        return replace(state, family=family, loops=take(state.gains), known_system=None)
+        if self.path not in state.computed:
+            family = state.family.along(self.path)
+            take = family.derivatives if isinstance(state.loops, Derivatives) else family.matrices
+            loops = take(state.gains)
+            system = state.system if np.array_equal(loops.A, state.loops.A) else None
+            state.computed[self.path] = replace(state, family=family, loops=loops, known_system=system)
+        return state.computed[self.path]  # type: ignore[no-any-return]
 
-    def _peaks(self, state: LoopState) -> Peaks:
+    def _found(self, state: LoopState) -> Peaks:
         if not self.orders:
-            return super()._peaks(state)
+            return super()._found(state)
         assert state.family.points is not None
         speed = state.family.points[:, 1]
         if not speed.any():
