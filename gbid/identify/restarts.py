@@ -6,7 +6,9 @@ no   start values                     windows                          gain   tr
 1    stated, or from the data         usual, half, four times as long  free   always, each where the last fails
 1a   as 1                             as 1                             held   where its predictor is almost unstable
 1b   solution of 1                    tenfold growth at most           free   where it runs away within its windows
-2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1 is unstable, fails or is doubtful
+1c   from the data                    as 1, 1a, 1b                     free   where 1 is doubtful
+1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   where 1 is unstable
+2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1 fails, 1c or 1d fails
 2a   as 2                             tenfold growth at most           free   where the plant itself is unstable
 3    as 1                             tenfold growth at most           free   where 1 is unstable and 2 is not good
 4    of a fit in windows of 16        16                               free   nonlinear: where 1 fails or is doubtful
@@ -15,7 +17,7 @@ no   start values                     windows                          gain   tr
 5    as 1                             one                              free   nonlinear: where 4a neither is nor agrees
 ===  ===============================  ===============================  =====  ==========================================
 
-A structure is linear in 2 and 3. A nonlinear one with stated start values has only the usual length in 1. Of its
+A structure is linear in 1c, 1d, 2 and 3. A nonlinear one with stated start values has only the usual length in 1. Of its
 attempts the one of lowest loss is the result; where that is doubtful, another must have ended there, too.
 
 Each attempt looks for other minima along the disturbance gain as well (`gbid.identify.pose.minimise`).
@@ -44,7 +46,7 @@ from gbid.identify.problem.assemble import automatic_window
 from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
-from gbid.identify.start.start import plant_data
+from gbid.identify.start.start import begin_values, plant_data
 from gbid.structure import LinearModel, LinearStructure, Parameter, Structure
 from gbid.structure.kinds import kind_of
 from gbid.structure.linear import evaluate, symbolic_matrices
@@ -167,11 +169,23 @@ def best_attempt(task: FitTask) -> FitResult:
     first = ladder.in_turn(stated, windows[:1] if nonlinear else windows)
     attempts = [first] if first else []
     if first:
-        final = first.good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
+        # a local minimum leaves something out as well
+        good = first.good and (nonlinear or first.result.trusted != "none")
+        final = good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
         if final:
             return first.result
     if nonlinear:
         return _confirmed(ladder.in_other_windows(attempts))
+    if first is None and (start := gain_start(task)) is not None and (other := ladder.in_turn(start, windows)):
+        text = "the start values are unstable: the fit began with the gain of a steady observer (Kalman filter)"
+        attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
+        if other.good:
+            return attempts[0].result
+    if first and first.result.success and not first.held and (start := data_start(task)) is not None:
+        other = ladder.in_turn(start, windows)
+        if other and other.result.success:
+            text = "the fit began at values from the data, which led lower than those stated"
+            return _lowest([first, other.noted(FitNote.BEGUN_ELSEWHERE(text))])
     if (start := observer_start(task)) is not None:
         other, unstable = ladder.in_turn(start, windows), ""
         if other is None:  # the plant itself is unstable
@@ -300,9 +314,8 @@ def _confirmed(attempts: Sequence[Attempt]) -> FitResult:
     best = min(converged or low, key=lambda each: round(each.result.loss / least, 6))  # of equals the first
     if not best.result.success or best.good:
         return best.result
-    if not best.agrees([each for each in attempts if each is not best]):
-        return best.result.changed(status=FitStatus.WINDOWS_DISAGREE)
-    return best.result.noted(FitNote.OTHER_MINIMUM(_DOUBTFUL))
+    agrees = best.agrees([each for each in attempts if each is not best])
+    return best.result if agrees else best.result.changed(status=FitStatus.WINDOWS_DISAGREE)
 
 
 _DOUBTFUL = (
@@ -323,7 +336,8 @@ def _lowest(attempts: Sequence[Attempt]) -> FitResult:
     if best.result.success and any(each.result.status is FitStatus.SHAFT_AS_MODE for each in attempts):
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes.append(FitNote.SHAFT(text))
-    if best.result.success and best.doubtful:
+    others = [each for each in attempts if each is not best]
+    if best.result.success and not best.agrees(others) and (best.doubtful or others and best.result.trusted == "none"):
         notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
     return best.result.noted(*notes)
 
@@ -344,6 +358,17 @@ def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
     for q, value in zip(problem.assembly.free, theta.tolist(), strict=True):
         every.setdefault(problem.assembly.own_names.get(q.name, q.name), []).append(value)
     return {name: float(np.mean(every.get(name, [value]))) for name, value in task.begin.values.items()}
+
+
+def data_start(task: FitTask) -> dict[str, float] | None:
+    """Return start values from the data alone; None where they cannot be found, or the structure is not linear."""
+    if kind_of(task.structure).linear is None:
+        return None
+    try:
+        begin = begin_values(task.structure, task.parameters, task.undisturbed, task.hold, set(), from_data=True)
+    except GbidError:
+        return None
+    return begin.values
 
 
 # ---- Observer of a structure: the steady Kalman filter for assumed noise.
@@ -412,6 +437,29 @@ def _plant_alone(loop: Any, task: FitTask) -> FitTask:
     return replace(
         task, structure=loop.structure, parameters=parameters, data=data, undisturbed=data, states=states, courses=None
     )
+
+
+def gain_start(task: FitTask) -> dict[str, float] | None:
+    """Return the start values with the disturbance gain of a steady observer at them, the best of several memories.
+
+    Values that are near are kept, where a fit with an observer of short memory may lose them. None for a structure
+    without a free gain, or that is not linear.
+    """
+    linear, values = kind_of(kind_of(task.structure).plant).linear, task.begin.values
+    if linear is None or task.options.focus != "prediction":
+        return None
+    noise = _NOISE * np.sqrt(np.mean([np.var(record.outputs, axis=0) for record in task.undisturbed.records], axis=0))
+    known = {q.name for q in linear.parameters}
+    parameters = tuple(q for q in task.parameters if q.name in known)
+    model, costs = evaluate(linear, {name: values[name] for name in known}), list[tuple[float, dict[str, float]]]()
+    if len(model.C) != len(noise):
+        return None
+    for reach in _REACHES[1:]:
+        gain = observer_gain(model, task.undisturbed.sample_time, noise, reach)
+        if gain is not None and (found := gain_parameters(linear, parameters, values, gain)):
+            problem = task.problem({**values, **found}, windows_of(task)[0])
+            costs.append((problem.shooting.at(problem.unknowns).cost, {**values, **found}))
+    return min((each for each in costs if np.isfinite(each[0])), key=lambda each: each[0], default=(0.0, None))[1]
 
 
 def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, reach: float) -> FloatArray | None:
