@@ -91,6 +91,7 @@ class FitNote(NoteKind):
     REDUCED = "GB141"
     DEPENDENT = "GB142"
     BEFORE_CAUSE = "GB143"
+    MISSING = "GB144"
 
 
 class DataNote(NoteKind):

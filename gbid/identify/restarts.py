@@ -8,7 +8,7 @@ no   start values                     windows                          gain   tr
 1b   solution of 1                    tenfold growth at most           free   where it runs away within its windows
 1c   from the data                    as 1, 1a, 1b                     free   where 1 is doubtful
 1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   where 1 is unstable
-2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1 fails, 1c or 1d fails
+2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1, 1c or 1d fails
 2a   as 2                             tenfold growth at most           free   where the plant itself is unstable
 3    as 1                             tenfold growth at most           free   where 1 is unstable and 2 is not good
 4    of a fit in windows of 16        16                               free   nonlinear: where 1 fails or is doubtful
@@ -17,8 +17,8 @@ no   start values                     windows                          gain   tr
 5    as 1                             one                              free   nonlinear: where 4a neither is nor agrees
 ===  ===============================  ===============================  =====  ==========================================
 
-A structure is linear in 1c, 1d, 2 and 3. A nonlinear one with stated start values has only the usual length in 1. Of its
-attempts the one of lowest loss is the result; where that is doubtful, another must have ended there, too.
+A structure is linear in 1c, 1d, 2 and 3. A nonlinear one with stated start values has only the usual length in 1. Of
+its attempts the one of lowest loss is the result; where that is doubtful, another must have ended there, too.
 
 Each attempt looks for other minima along the disturbance gain as well (`gbid.identify.pose.minimise`).
 """
@@ -40,8 +40,9 @@ from gbid.core.notes import FitNote
 from gbid.discretise.exact import discretise
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.judge import judge
+from gbid.identify.omitted import omitted_effect
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import FitTask, PosedProblem, minimise, strongly_coloured
+from gbid.identify.pose import FitTask, Optimum, PosedProblem, minimise, strongly_coloured
 from gbid.identify.problem.assemble import automatic_window
 from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
@@ -104,11 +105,14 @@ class Attempt:
         Largest growth of the predictor in a sample, at the solution.
     doubtful : bool
         Whether the residuals are so strongly correlated that this may be another minimum.
+    optimum : Optimum
+        Solved problem of the result.
     """
 
     result: FitResult
     rate: float
     doubtful: bool
+    optimum: Optimum
 
     @property
     def loss(self) -> float:
@@ -140,7 +144,7 @@ def solved(problem: PosedProblem) -> Attempt:
     optimum = minimise(problem)
     result, shooting, unknowns = judge(optimum), optimum.shooting, optimum.solution.unknowns
     doubtful = result.trusted != "white" and optimum.weighted is None and strongly_coloured(shooting, unknowns)
-    return Attempt(result, shooting.rate(*shooting.unpack(unknowns)), doubtful)
+    return Attempt(result, shooting.rate(*shooting.unpack(unknowns)), doubtful, optimum)
 
 
 def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
@@ -160,8 +164,23 @@ def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
     return tuple(dict.fromkeys(min(samples, longest) for samples in windows))
 
 
+_MISSING = (FitNote.LEFT_OUT, FitNote.FEEDBACK)  # notes on residuals that follow something
+
+
 def best_attempt(task: FitTask) -> FitResult:
-    """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others."""
+    """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others.
+
+    Where its residuals follow an input, a note names what may be missing.
+    """
+    attempt = _best_attempt(task)
+    result = attempt.result
+    if not any(kind.value in note for kind in _MISSING for note in result.notes):
+        return result
+    effect = omitted_effect(attempt.optimum)
+    return result.noted(FitNote.MISSING(effect)) if effect else result
+
+
+def _best_attempt(task: FitTask) -> Attempt:
     ladder, stated, windows = Ladder(task), task.begin.values, windows_of(task)
     enough = task.data.records and task.options.max_iterations >= POLICY.enough_iterations
     may_restart = bool(enough) and ("data" not in task.begin.origin.values() or bool(task.begin.notes))
@@ -173,14 +192,14 @@ def best_attempt(task: FitTask) -> FitResult:
         good = first.good and (nonlinear or first.result.trusted != "none")
         final = good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
         if final:
-            return first.result
+            return first
     if nonlinear:
         return _confirmed(ladder.in_other_windows(attempts))
     if first is None and (start := gain_start(task)) is not None and (other := ladder.in_turn(start, windows)):
         text = "the start values are unstable: the fit began with the gain of a steady observer (Kalman filter)"
         attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
         if other.good:
-            return attempts[0].result
+            return attempts[0]
     if first and first.result.success and not first.held and (start := data_start(task)) is not None:
         other = ladder.in_turn(start, windows)
         if other and other.result.success:
@@ -306,16 +325,15 @@ def _rate(problem: PosedProblem) -> float:
     return problem.shooting.rate(*problem.shooting.unpack(problem.unknowns))
 
 
-def _confirmed(attempts: Sequence[Attempt]) -> FitResult:
+def _confirmed(attempts: Sequence[Attempt]) -> Attempt:
     """Return the result of lowest loss of nonlinear attempts, a success where it is good or another one agrees."""
     least = min(attempt.loss for attempt in attempts)
     low = [each for each in attempts if not each.result.loss > least * (1 + POLICY.lower)]
     converged = [each for each in low if each.result.success]
     best = min(converged or low, key=lambda each: round(each.result.loss / least, 6))  # of equals the first
-    if not best.result.success or best.good:
-        return best.result
-    agrees = best.agrees([each for each in attempts if each is not best])
-    return best.result if agrees else best.result.changed(status=FitStatus.WINDOWS_DISAGREE)
+    if not best.result.success or best.good or best.agrees([each for each in attempts if each is not best]):
+        return best
+    return replace(best, result=best.result.changed(status=FitStatus.WINDOWS_DISAGREE))
 
 
 _DOUBTFUL = (
@@ -324,8 +342,8 @@ _DOUBTFUL = (
 )
 
 
-def _lowest(attempts: Sequence[Attempt]) -> FitResult:
-    """Return the lowest result of those that converged, else the lowest; notes tell of one that is lower still."""
+def _lowest(attempts: Sequence[Attempt]) -> Attempt:
+    """Return the lowest of those that converged, else the lowest; notes tell of one that is lower still."""
     finite = [each for each in attempts if np.isfinite(each.loss)] or attempts
     lowest = min(finite, key=lambda each: each.loss)
     best = min((each for each in finite if each.result.success), key=lambda each: each.loss, default=lowest)
@@ -337,9 +355,13 @@ def _lowest(attempts: Sequence[Attempt]) -> FitResult:
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes.append(FitNote.SHAFT(text))
     others = [each for each in attempts if each is not best]
-    if best.result.success and not best.agrees(others) and (best.doubtful or others and best.result.trusted == "none"):
+    if (
+        best.result.success
+        and not best.agrees(others)
+        and (best.doubtful or (others and best.result.trusted == "none"))
+    ):
         notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
-    return best.result.noted(*notes)
+    return replace(best, result=best.result.noted(*notes))
 
 
 # ---- Start of a nonlinear fit from windows with open gaps.

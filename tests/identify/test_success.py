@@ -6,7 +6,9 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from fit_cases import MODE, MODE_AT, levels, simulated
 from scipy.linalg import expm
+from scipy.signal import lfilter
 from start_problems import start_problem
 
 from gbid import LinearStructure, Parameter, Recording, fit
@@ -208,3 +210,20 @@ def test_rotation_of_the_shaft_is_no_mode(size, success, told):
     if not success:
         assert result.status is FitStatus.SHAFT_AS_MODE
         assert abs(frequency - 100) < 0.1
+
+
+# ---- Strongly coloured errors: whether there is a lower minimum is settled by a second start.
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 100), marks=pytest.mark.slow)], ids=["few", "many"])
+def test_coloured_errors_at_the_lowest_minimum_leave_no_doubt(seeds):
+    fixed = {"l1": 0.0, "l2": 0.0}
+    for seed in seeds:
+        clean = simulated(MODE, MODE_AT, levels(600, seed=seed))
+        errors = lfilter([1], [1, -0.9], np.random.default_rng(seed).normal(size=(600, 1)), axis=0)
+        y = clean.signal("y")
+        result = fit(MODE, clean.with_signals(y=y + 0.1 * y.std() * errors), focus="simulation", fixed=fixed)
+        assert result.success
+        assert result.parameters["w"] == pytest.approx(MODE_AT["w"], rel=0.05)
+        assert "GB106" in " ".join(result.notes)
+        assert "GB111" not in " ".join(result.notes)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm, solve_discrete_are
 from start_problems import MAGLEV, START_PROBLEMS, start_problem
 
-from gbid import fit
+from gbid import Recording, fit
 from gbid.identify.uncertainty import covariance as module
-from gbid.structure import evaluate
+from gbid.structure import LinearStructure, Parameter, evaluate
 
 
 def test_magnetic_levitation_from_its_truth_has_windows_that_contain_a_tenfold_growth():
@@ -71,3 +72,54 @@ def test_scatter_of_an_unstable_plant_is_that_of_its_standard_deviations(count):
         squares.append(away @ np.linalg.solve(result.covariance_white, away))
     mean, n = np.mean(squares), len(MAGLEV)
     assert abs(mean - n) < 4 * np.sqrt(2 * n / len(squares))
+
+
+def held(seed, n=1500, h=0.02):
+    """An unstable plant of third order, held by a state feedback of its Kalman filter: innovations form, by scipy."""
+    random = np.random.default_rng(seed)
+    w, z = random.uniform(2, 6), random.uniform(0.02, 0.3)
+    unstable = [random.uniform(0.5, 3), -random.uniform(1, 5)], [complex(z * w, w), complex(z * w, -w)]
+    a = np.real(np.poly([*unstable[seed % 2], -random.uniform(3, 8)]))[1:]
+    at = {"a0": a[0], "a1": a[1], "a2": a[2], "b": random.uniform(2, 10)}
+    A, B = np.array([[0, 1, 0], [0, 0, 1], -a[::-1]]), np.array([[0], [0], [at["b"]]])
+    step = expm(h * np.block([[A, B], [np.zeros((1, 4))]]))
+    F, G, C = step[:3, :3], step[:3, 3:], np.eye(1, 3)
+    P, S = (solve_discrete_are(*each) for each in ((F, G, np.diag([1, 0.1, 0.01]), 0.1), (F.T, C.T, KNOWN, 1e-3)))
+    law, gain = np.linalg.solve(0.1 + G.T @ P @ G, G.T @ P @ F), F @ S @ C.T / (C @ S @ C.T + 1e-3)
+    w, x, rows = np.repeat(random.choice([-1.0, 1.0], n // 15), 15), np.zeros((3, 1)), []
+    for k in range(n):
+        e = 0.03 * random.normal()
+        u = w[k] - (law @ x).item()
+        rows.append((u, x[0, 0] + e))
+        x = F @ x + G * u + gain * e
+    u, y = np.array(rows).T
+    return Recording({"u": u, "y": y}, h, name=f"held {seed}"), at
+
+
+KNOWN = np.diag([1e-4, 1e-3, 1e-2])
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 30), marks=pytest.mark.slow)], ids=["few", "many"])
+def test_a_gain_of_an_observer_at_the_start_values_starts_plants_of_third_order(seeds):
+    failed = []
+    for seed in seeds:
+        recording, at = held(seed)
+        random = np.random.default_rng(1000 + seed)
+        plant = LinearStructure(
+            "third order",
+            [
+                *(Parameter(name, value * np.exp(random.uniform(-0.5, 0.5))) for name, value in at.items()),
+                *(Parameter(f"k{i}", 0.0) for i in range(3)),
+            ],
+            lambda p: {
+                "A": [[0, 1, 0], [0, 0, 1], [-p.a2, -p.a1, -p.a0]],
+                "B": [[0], [0], [p.b]],
+                "C": [[1, 0, 0]],
+                "K": [[p.k0], [p.k1], [p.k2]],
+            },
+        )
+        result = fit(plant, recording)
+        away = [abs(result.parameters[name] - value) / result.std[name] for name, value in at.items()]
+        if not (result.success and max(away) < 4.5):
+            failed.append((seed, str(result.status), away))
+    assert not failed
