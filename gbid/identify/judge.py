@@ -459,8 +459,11 @@ class Judged:
             log_det = -2 * self.optimum.weighted.log_likelihood / n - per_sample
             k += sum(model.coefficients.size for model in self.error_models)
         for_gaps = sum(gains.spread for part in at.problem.parts for gains in part.blocks.gains)
+        volume = float(
+            np.maximum(np.linalg.det(mean_square), 0.0)
+        )  # below zero by rounding, of errors without full rank
         return {
-            "loss": float(np.trace(mean_square) if at.problem.criterion == "trace" else np.linalg.det(mean_square)),
+            "loss": float(np.trace(mean_square)) if at.problem.criterion == "trace" else volume,
             "log_likelihood": -0.5 * (n * (log_det + per_sample) + for_gaps),
             "aic": n * log_det + for_gaps + 2 * k,
             "fpe": float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
