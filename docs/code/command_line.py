@@ -4,7 +4,11 @@ import io
 import re
 from contextlib import redirect_stderr, redirect_stdout
 
+import rich.console
+
 from gbid.cli.main import app
+
+rich.console._is_jupyter = lambda: False  # a notebook, too, gets tables as text, where the command prints them
 
 
 def call(command: str) -> tuple[str, str, int]:
@@ -15,7 +19,8 @@ def call(command: str) -> tuple[str, str, int]:
             app(command.split()[1:], prog_name="gbid")
         except SystemExit as end:
             code = int(end.code or 0)
-    return out.getvalue(), err.getvalue(), code
+    plain = (re.sub(r"\x1b\[[\d;]*m", "", said.getvalue()) for said in (out, err))  # a kernel of Jupyter forces colours
+    return *plain, code
 
 
 def run(command: str, keep: str = "", most: int = 1000) -> None:
