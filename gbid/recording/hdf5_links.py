@@ -25,7 +25,7 @@ _MOST = 32  # links one after another, and virtual datasets of virtual datasets
 _INSTEAD = "save the numbers in the file itself"
 
 
-class Place(NamedTuple):
+class ObjectInFile(NamedTuple):
     """Object of an HDF5 file.
 
     Attributes
@@ -52,7 +52,7 @@ class LinkedFile:
     def __init__(self, path: Path, stack: ExitStack, *, alone: bool = False) -> None:
         self._path, self._stack = path, stack
         self._folder = None if alone else path.absolute().parent.resolve()
-        self._roots: dict[Path, Place] = {}
+        self._roots: dict[Path, ObjectInFile] = {}
         self._root = self._opened(path.absolute())
         self.used: dict[Path, None] = {}
 
@@ -94,19 +94,19 @@ class LinkedFile:
                 place.item.links.iterate(parts.append)
                 todo += [(b"/".join(filter(None, (way, part))), place, part) for part in reversed(parts)]
 
-    def _dataset(self, place: Place, name: str) -> h5py.Dataset | None:
+    def _dataset(self, place: ObjectInFile, name: str) -> h5py.Dataset | None:
         if not isinstance(place.item, h5py.h5d.DatasetID):
             return None
         self._check_storage(place, name)
         return h5py.Dataset(place.item)
 
-    def _opened(self, path: Path) -> Place:
+    def _opened(self, path: Path) -> ObjectInFile:
         if path not in self._roots:
             file = self._stack.enter_context(h5py.File(path, "r"))
-            self._roots[path] = Place(path, h5py.h5g.open(file.id, b"/"))
+            self._roots[path] = ObjectInFile(path, h5py.h5g.open(file.id, b"/"))
         return self._roots[path]
 
-    def _find(self, start: Place, way: bytes) -> Place | None:
+    def _find(self, start: ObjectInFile, way: bytes) -> ObjectInFile | None:
         """Return the object at a path from a group; None where there is none."""
         place, todo, links = start, way.split(b"/")[::-1], 0
         while todo:
@@ -135,7 +135,7 @@ class LinkedFile:
         return place
 
     @staticmethod
-    def _child(place: Place, part: bytes) -> Place:
+    def _child(place: ObjectInFile, part: bytes) -> ObjectInFile:
         """Return the object of a hard link; external storage is named from the folder of its file."""
         item = h5py.h5o.open(place.item, part)
         if isinstance(item, h5py.h5d.DatasetID) and item.get_create_plist().get_external_count():
@@ -143,7 +143,7 @@ class LinkedFile:
             access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
             access.set_efile_prefix(str(place.file.parent).encode())
             item = h5py.h5d.open(place.item, part, access)
-        return Place(place.file, item)
+        return ObjectInFile(place.file, item)
 
     def _beside(self, file: Path, name: bytes | str, what: str) -> Path:
         """Return the file that another one names, once it is sure that it lies in the folder."""
@@ -164,7 +164,7 @@ class LinkedFile:
         self.used[other] = None
         return other
 
-    def _check_storage(self, place: Place, name: str, depth: int = 0) -> None:
+    def _check_storage(self, place: ObjectInFile, name: str, depth: int = 0) -> None:
         """Refuse a dataset whose numbers are not all in files of the folder."""
         made = place.item.get_create_plist()
         if not made.get_external_count() and made.get_layout() != h5py.h5d.VIRTUAL:
