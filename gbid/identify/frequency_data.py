@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gbid.core.apart import read_apart
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.figures import Pictured
 from gbid.core.option_types import Positive, checks_arguments
 from gbid.core.tables import Column, Table
@@ -207,7 +207,10 @@ class FrequencyData(ChannelCurves, Pictured):
                 f"{path}: has no coherence, and a fit weights responses by their errors: give std, the standard "
                 "deviation of real and imaginary part"
             )
-        return cls(f, response, inputs=inputs, outputs=outputs, averages=averages, name=path.stem, **quality)
+        try:
+            return cls(f, response, inputs=inputs, outputs=outputs, averages=averages, name=path.stem, **quality)
+        except GbidError as error:
+            raise type(error)(f"{path}: {error}") from None
 
     @classmethod
     def from_control(

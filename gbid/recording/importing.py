@@ -64,8 +64,9 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise UsageError(f"import mapping of {path}: {error}") from None
     reader = file_format(path, mapping.text_options, mapping.part).read
     try:
-        digest, others = sha256_of(path), {Path(other): sha256_of(Path(other)) for other in files_beside(path)}
+        digest = sha256_of(path)
         columns = joined(path, _whole(path, mapping, reader(path, mapping.all_columns())))
+        others = {Path(other): sha256_of(Path(other)) for other in files_beside(path)}
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except MemoryError:

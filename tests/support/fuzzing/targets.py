@@ -23,6 +23,7 @@ from scipy.io import savemat
 import gbid
 from fuzzing.byte_mutations import flip_bits, mutate_bytes, overwrite
 from fuzzing.hdf5_mutations import mutate_hdf5
+from fuzzing.logger_targets import door_targets
 from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
 from gbid import load, save
@@ -82,7 +83,11 @@ class FuzzTarget(NamedTuple):
 
 def fuzz_targets() -> list[FuzzTarget]:
     """Return all kinds of files."""
-    return [*_texts(), *_own_hdf5(), *_foreign()]
+    doors = [
+        FuzzTarget(name, ending, FileOrigin.FOREIGN, content, read, mutate, weight, beside)
+        for name, ending, content, read, mutate, weight, beside in door_targets()
+    ]
+    return [*_texts(), *_own_hdf5(), *_foreign(), *doors]
 
 
 def flat(value: Any) -> Any:
