@@ -21,7 +21,7 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 
 
 def _draw(*value: object, **options: object) -> object:
-    """Draw the first figure of a value; what draws is imported with the first one."""
+    """Draw the first figure of a value; matplotlib is imported at the first call."""
     from .report.pictures import shown
 
     return shown(*value, **options)

@@ -1,1 +1,1 @@
-"""What every package uses: arrays, errors, units, tables, notes, files."""
+"""Base of all packages: arrays, errors, units, tables, notes, files."""

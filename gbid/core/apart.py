@@ -44,7 +44,7 @@ serve({})
 
 
 def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
-    """Return ``read(path, *arguments)``, computed in the process for readers.
+    """Return ``read(path, *arguments)``, computed in the reader process.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
 
 
 class ReaderLimits(NamedTuple):
-    """Limits for one file.
+    """Limits of memory and time for reading one file.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def limits_for(path: Path) -> ReaderLimits:
 
 
 def usable_memory() -> int:
-    """Return the most memory that this process can use [bytes]: that of the machine, or as its limits have it."""
+    """Return the memory that this process can use [bytes]: the machine's, or less where a limit is set."""
     sizes = [sys.maxsize]
     with contextlib.suppress(AttributeError, ValueError, OSError):  # not on Windows
         sizes.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -112,7 +112,7 @@ def usable_memory() -> int:
 
 
 def _session_limit(name: str) -> int:
-    """Return a limit of this process (``ulimit``), the smaller of the soft and the hard one."""
+    """Return a limit of this process (``ulimit``): the smaller of its soft and hard value."""
     try:
         import resource
     except ImportError:  # Windows
@@ -121,7 +121,7 @@ def _session_limit(name: str) -> int:
 
 
 class ReaderProcess:
-    """The process, started at its first request."""
+    """Reader process, started at its first request."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -184,7 +184,7 @@ def _process(_owner: int) -> ReaderProcess:  # a forked process has another numb
 
 
 def _started() -> subprocess.Popen[bytes]:
-    """Return a new process, started by a thread that stays as long as it.
+    """Return a new process, started by a thread that lives as long as the process.
 
     The system ends the process when the thread ends that started it, and not only at the end of this process.
     """
@@ -226,7 +226,7 @@ _PREFIXES = ("HDF5_EXT_PREFIX", "HDF5_VDS_PREFIX", "HDF5_EXTFILE_PREFIX")  # fol
 
 
 def _import_folders() -> list[str]:
-    """Return the folders of this process from which another one may import what it finds nowhere else.
+    """Return the import folders of this process, from which a reader process imports what it lacks.
 
     The current folder and that of a script are none of them: the data may lie there.
     """
@@ -240,7 +240,7 @@ _Answer = tuple[Any, BaseException | None, float]
 
 
 def _answer(child: subprocess.Popen[bytes], request: tuple[Any, ...]) -> _Answer | None:
-    """Send a request and return the answer of the process; None if the process ended."""
+    """Send a request and return the answer of the reader process; None if that process ended."""
     if child.stdin is None or child.stdout is None:
         return None
     try:
@@ -253,7 +253,7 @@ def _answer(child: subprocess.Popen[bytes], request: tuple[Any, ...]) -> _Answer
 
 
 def _reason(code: int, limits: ReaderLimits, allowed: int, in_time: bool) -> str:
-    """Return why a process ended without an answer, and what to do."""
+    """Return why the reader process ended without an answer, and what to do."""
     if not in_time:
         return (
             f"time-out: not read within {limits.wait:.0f} s; the drive answers late, or the machine is too busy: try "
@@ -277,7 +277,7 @@ def _reason(code: int, limits: ReaderLimits, allowed: int, in_time: bool) -> str
 
 
 def serve(parent: int) -> None:
-    """Answer requests from the standard input until it ends, or the process that started this one."""
+    """Answer requests from standard input until it is closed, or until the parent process ends."""
     _end_with(parent)
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not come between the answers
@@ -297,7 +297,7 @@ def serve(parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process with its parent: by the system, in every state (Linux); else by a thread that looks for it."""
+    """End this process when its parent ends: by a signal of the system (Linux) and by a watching thread."""
     if sys.platform == "linux":
         import ctypes
 
@@ -325,7 +325,7 @@ def _outcome(read: Callable[..., Any], path: Path, arguments: list[Any]) -> tupl
 
 
 def _set(limits: ReaderLimits, session: dict[str, int]) -> None:
-    """Set the limits of this process for the next file, where the system has such limits, within those it had."""
+    """Set the limits of this process for the next file, never above the limits of the session."""
     try:
         import resource
     except ImportError:

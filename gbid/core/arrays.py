@@ -1,4 +1,4 @@
-"""Types of arrays, checks of numbers, poles, labels of operating points, and threads of BLAS and solver."""
+"""Array types and number checks, poles and modes, labels of operating points, threads of BLAS and solver."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def is_finite(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and isfinite(value)
 
 
-# ---- Poles: which of them oscillate, and their natural frequencies and damping factors.
+# ---- Poles: natural frequencies and damping factors.
 
 REAL = 1e-9
 """A pole with a smaller imaginary part, relative to its magnitude, counts as real."""
 
 
 def is_real(poles: ComplexArray) -> BoolArray:
-    """Return which poles do not oscillate (any shape).
+    """Return whether each pole is real, so that it does not oscillate (any shape).
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def is_real(poles: ComplexArray) -> BoolArray:
 
 
 def one_of_each_pair(poles: ComplexArray) -> BoolArray:
-    """Return which poles stand for an oscillatory mode: of each complex pair the one in the upper half-plane.
+    """Return which poles stand for an oscillatory mode: the pole in the upper half-plane of each complex pair.
 
     Parameters
     ----------
@@ -93,14 +93,14 @@ def oscillatory_modes(poles: ComplexArray) -> FloatArray:
     return frequencies_and_dampings(pairs[np.argsort(np.abs(pairs), kind="stable")])
 
 
-# ---- Operating points, and these in words.
+# ---- Labels of operating points.
 
 Point = tuple[float, float]
 """Operating point: pressure [bar] and speed [rpm]."""
 
 
 def point_label(pressure_bar: float, speed_rpm: float) -> str:
-    """Return the label of an operating point, for people.
+    """Return the label of an operating point, as reports show it.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def point_label(pressure_bar: float, speed_rpm: float) -> str:
 
 
 class _Shared:
-    """What all threads of the process share: the turn of the solver, and the limit of the BLAS libraries."""
+    """Locks that all threads of the process share: for the solver, and for the limit of the BLAS libraries."""
 
     def __init__(self) -> None:
         self.turn, self.counting = threading.RLock(), threading.Lock()
@@ -167,7 +167,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep some megabytes of the arrays that it frees, for those that follow.
+    """Let the C allocator keep some megabytes of freed arrays for the arrays that follow.
 
     The allocator of Linux (glibc) returns memory to the system beyond twice the largest block that it has seen freed,
     and counts blocks up to 32 MB. The system clears each page before it gives it out again. Other allocators see no
@@ -177,7 +177,7 @@ def keep_freed_memory() -> None:
 
 
 def one_solver() -> AbstractContextManager[Any]:
-    """Return a context that one thread of the process is in at a time: MUMPS, which IPOPT uses, is not thread-safe."""
+    """Return a context for one thread at a time: MUMPS, which IPOPT uses, is not thread-safe."""
     return _shared.turn
 
 

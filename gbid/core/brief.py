@@ -53,7 +53,7 @@ class Description:
         return f"{self.kind}: {self.title}".removesuffix(": ")
 
     def text(self) -> str:
-        """Return several lines; the last one names the fields that are not shown."""
+        """Return the description as lines of text; the last line names the fields that are not shown."""
         width = max((len(name) for name in self.rows), default=0)
         lines = [self.heading]
         for name, value in self.rows.items():
@@ -65,7 +65,7 @@ class Description:
         return "\n".join(map(printable, lines))
 
     def html(self) -> str:
-        """Return a small table without a style of its own, so that it follows the notebook's."""
+        """Return a small table without styles, so that it follows the style of the notebook."""
         rows = "".join(
             f'<tr><th scope="row" style="text-align:left">{html_text(name)}</th>'
             f'<td style="text-align:left">{html_text(value)}</td></tr>'
@@ -87,7 +87,7 @@ copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))
 
 
 class Brief:
-    """Base of results that describe themselves: in a few lines in the shell, by tables on pages and in notebooks.
+    """Base of results that describe themselves: a few lines in the shell, tables on pages and in notebooks.
 
     A result of any size prints at most a screen. Subclasses choose in `_brief` what is shown; by default it is the
     fields. In a notebook, tables follow if they fit on a screen.
@@ -105,7 +105,7 @@ class Brief:
         return self._brief().text()
 
     def tables(self) -> list[Table]:
-        """Return the tables of this value; empty for one that only describes itself."""
+        """Return the tables of this value; empty for a value without tables."""
         return []
 
     def _repr_html_(self) -> str:
@@ -124,7 +124,7 @@ class Brief:
 
 @contextmanager
 def progress_line() -> Iterator[Callable[[Any], None]]:
-    """Return a context with a function that shows each step it is called with on one line of standard error.
+    """Return a context whose function shows the text of each call on one line of standard error.
 
     The line is written anew each time, in a terminal as in a notebook, and is empty at the end.
     """
@@ -189,7 +189,7 @@ def estimates(values: Mapping[str, float], std: Mapping[str, float], names: Iter
 
 
 def counted(words: Iterable[str]) -> str:
-    """Return how often each word occurs, in the order of first occurrence."""
+    """Return how often each word occurs, as text, in the order of first occurrence."""
     counts: dict[str, int] = {}
     for word in words:
         counts[word] = counts.get(word, 0) + 1

@@ -1,4 +1,4 @@
-"""Compiled kernels: the C compiler of this machine, shared libraries, and the folder that keeps them.
+"""Compiled kernels: the C compiler of this machine, shared libraries, and their cache folder.
 
 A library runs with the rights of the user. It is therefore taken only from folders in which nobody else can write,
 which is the rule of ssh for its keys.
@@ -39,7 +39,7 @@ _OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def cache_folder() -> Path:
-    """Return the folder of the compiled kernels.
+    """Return the cache folder of the compiled kernels.
 
     It is the folder named by the environment variable ``GBID_CACHE_DIR``, otherwise the cache folder of the user.
     """
@@ -49,7 +49,7 @@ def cache_folder() -> Path:
 
 @cache
 def private_folder() -> Path:
-    """Return a new folder of this process, which is removed at its end."""
+    """Return a new folder of this process, which is removed when the process ends."""
     with contextlib.suppress(OSError):  # those of processes that were killed
         remove_stale_parts(Path(tempfile.gettempdir()), ".scratch.*")
     stack = contextlib.ExitStack()
@@ -58,7 +58,7 @@ def private_folder() -> Path:
 
 
 def why_not_trusted(path: Path) -> str:
-    """Return why the content of a file or folder could be another user's; empty when it could not.
+    """Return why another user could have written a file or folder; empty text when nobody else could.
 
     Parameters
     ----------
@@ -79,8 +79,6 @@ def why_not_trusted(path: Path) -> str:
     return ""
 
 
-# ---- The C compiler of this machine: it is found once, and has a time limit.
-
 _LIMIT_S = 120.0  # a kernel takes 2 to 6 s, several times as much on a busy machine
 
 
@@ -89,7 +87,7 @@ class CompilerMissingError(Exception):
 
 
 class Compiler(NamedTuple):
-    """Compiler with the text of its version."""
+    """C compiler: its command, and the text of its version."""
 
     command: tuple[str, ...]
     version: str
@@ -97,7 +95,7 @@ class Compiler(NamedTuple):
 
 @cache
 def find_compiler() -> Compiler:
-    """Return the compiler named by the environment variable ``CC``, otherwise cc, gcc, clang, or that of ``ziglang``.
+    """Return the compiler: the environment variable ``CC``, else cc, gcc, clang, or the package ``ziglang``.
 
     The Python package ``ziglang`` brings a C compiler (clang); ``pip install gbid[compiler]`` installs it.
 
@@ -124,7 +122,7 @@ def _packaged() -> list[list[str]]:
 
 
 def compile_source(compiler: Compiler, flags: Sequence[str], source: str, library: Path) -> None:
-    """Compile a C source, which the compiler reads from a pipe, to a shared library.
+    """Compile a C source, given to the compiler by a pipe, to a shared library.
 
     Raises
     ------
@@ -135,7 +133,7 @@ def compile_source(compiler: Compiler, flags: Sequence[str], source: str, librar
 
 
 def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
-    """Compile a C file to a shared library for others than this process, with flags of its own.
+    """Compile a C file with given flags to a shared library that other processes load.
 
     Raises
     ------
@@ -146,7 +144,7 @@ def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
 
 
 def _compile(compiler: Compiler, arguments: Sequence[str], library: Path, what: str, given: str = "") -> None:
-    """Run the compiler; its first line that names an error is the reason when it fails.
+    """Run the compiler; when it fails, the error shows the first line of its output that names an error.
 
     Its temporary files are beside the library: when all is killed, the next build removes them.
     """
@@ -159,7 +157,7 @@ def _compile(compiler: Compiler, arguments: Sequence[str], library: Path, what: 
 
 
 def _run(command: Sequence[str], given: str = "", scratch: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command with a time limit; all its processes end with it, also after Ctrl-C."""
+    """Run a command with a time limit; all its child processes end with it, also after Ctrl-C."""
     try:
         begun = subprocess.Popen(
             command,
@@ -184,7 +182,7 @@ def _run(command: Sequence[str], given: str = "", scratch: Path | None = None) -
 
 
 def _end(begun: subprocess.Popen[str]) -> None:
-    """End a process and those that it begun."""
+    """End a process and its child processes."""
     if begun.returncode is not None:
         return
     if hasattr(os, "killpg"):
@@ -195,12 +193,9 @@ def _end(begun: subprocess.Popen[str]) -> None:
     begun.wait()
 
 
-# ---- Shared library of a C source, compiled now or taken from the cache.
-
-
 @cache
 def c_source(package: str, name: str) -> str:
-    """Return a C file of a package; vectors.c, in place of ``@VECTORS@``, chooses vectors by the target processor."""
+    """Return a C file of a package, with vectors.c in place of ``@VECTORS@`` (vectors of the target processor)."""
     text = files(package).joinpath(name).read_text(encoding="utf-8")
     return text if "@VECTORS@" not in text else text.replace("@VECTORS@", c_source("gbid.core", "vectors.c").rstrip())
 
@@ -225,7 +220,7 @@ _PATIENCE_S = 150.0  # longest wait for another process that compiles the same s
 
 
 class Library(ctypes.CDLL):
-    """Loaded shared library.
+    """Shared library that this process has loaded.
 
     Attributes
     ----------
@@ -238,7 +233,7 @@ class Library(ctypes.CDLL):
 
 @cache
 def load_library(source: str, flags: tuple[str, ...] = FLAGS) -> Library:
-    """Return the shared library of a C source, compiled now or taken from the cache.
+    """Return the shared library of a C source, from the cache or compiled now.
 
     The key of the cache is made of the source, the compiler, the flags and the processor. Processes that need the
     same library at the same time wait for one another. A file gets its final name only when it is complete, and ends
@@ -298,7 +293,7 @@ def run_compiled(
     arrays: Sequence[npt.NDArray[Any]],
     results: Sequence[npt.NDArray[Any] | None],
 ) -> None:
-    """Call a compiled function of sizes (long), arrays that it reads, and contiguous arrays that it writes, or NULL."""
+    """Call a compiled function with sizes (long), input arrays, and contiguous output arrays or NULL."""
     given = [np.ascontiguousarray(array) for array in arrays]  # kept until the call has ended
     function.restype = None
     pointers = [  # by the interface: half the time of array.ctypes
@@ -308,7 +303,7 @@ def run_compiled(
 
 
 def _current(compiler: Compiler, flags: tuple[str, ...], source: str, library: Path) -> Library:
-    """Return the library from the cache if it is whole and the user's own; else compile it."""
+    """Return the library from the cache if the file is intact and belongs to the user; else compile it."""
     try:
         if library.is_file() and not why_not_trusted(library) and has_valid_checksum(library):
             return Library(str(library))
@@ -334,7 +329,7 @@ def _built(compiler: Compiler, flags: tuple[str, ...], source: str, library: Pat
 
 
 def _built_apart(compiler: Compiler, flags: tuple[str, ...], source: str, key: str, reason: str) -> Library:
-    """Return the library, compiled into a folder of this process."""
+    """Return the library, compiled into a private folder because the cache cannot be used."""
     library = _built(compiler, flags, source, private_folder() / f"{key}.so")
     library.note = f"the cache of compiled kernels was not used: {reason}"
     return library

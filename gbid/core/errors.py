@@ -1,4 +1,4 @@
-"""Errors that a user can act on, each with the exit code of the command line.
+"""Errors and warnings for users; each error has the exit code of the command line.
 
 Exit codes: 0 fine, 1 a defect of ours, 2 wrong usage or YAML, 3 bad data, 4 not converged,
 5 a validation threshold missed, 130 interrupted.
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 
 class GbidError(Exception):
-    """Base of all errors that gbid raises on purpose. Its text names file, field and value and what to do."""
+    """Base of all errors that gbid raises on purpose. The text names file, field, value and what to do."""
 
     exit_code = 1
     key = ""
@@ -29,7 +29,7 @@ class UsageError(GbidError, ValueError):
 
 
 class NoValueAtStartError(UsageError):
-    """Start values at which the equations have no finite value, or are too stiff for their integrator."""
+    """Start values at which the equations have no finite value, or are too stiff for the integrator."""
 
 
 class DataError(GbidError, ValueError):
@@ -43,7 +43,7 @@ class NoSpaceError(DataError):
 
 
 class NotConvergedError(GbidError):
-    """A fit asked for by a command did not converge."""
+    """A fit that a command needs did not converge."""
 
     exit_code = 4
 
@@ -55,7 +55,7 @@ class ThresholdError(GbidError):
 
 
 class ChangedFileWarning(UserWarning):
-    """A file was changed after gbid wrote it; what was loaded has no place for a note."""
+    """A file was changed after gbid wrote it, and the loaded value has no field for notes."""
 
 
 class ExtrapolationWarning(UserWarning):
@@ -63,7 +63,7 @@ class ExtrapolationWarning(UserWarning):
 
 
 def from_interrupt(error: BaseException) -> bool:
-    """Return whether an error hides a Ctrl-C.
+    """Return whether the cause of an error is a Ctrl-C.
 
     CasADi makes a RuntimeError of a Ctrl-C within one of its callbacks. A library that ends its work on the way out may
     fail in turn, and Python then keeps the KeyboardInterrupt as the context of that failure.
@@ -79,13 +79,11 @@ def origins(error: BaseException) -> Iterator[BaseException]:
         current = current.__cause__ or current.__context__
 
 
-# ---- The nearest known name, for messages.
-
 _LISTED, _FIRST = 30, 8  # longest list of names that is shown in full; number of names shown of a longer one
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint with the most similar known name and the known names; of many, only the first ones."""
+    """Return a hint for an unknown name: the most similar known name, and the known names (the first of many)."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""

@@ -1,4 +1,4 @@
-"""Optional packages, values that other packages offer by entry points, and data frames of pandas."""
+"""Optional packages, entry points of other packages, and pandas data frames."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 
 from gbid.core.errors import UsageError
 
-# ---- Import of an optional package, or one clear line that says which extra to install.
-
 
 def extra_package(module: str, extra: str, what: str) -> Any:
-    """Return an optional package.
+    """Return an optional package; the error for a missing package names the extra to install.
 
     Parameters
     ----------
@@ -47,7 +45,7 @@ def _install(extra: str) -> str:
 
 
 def offered(group: str, name: str) -> tuple[Any, str] | None:
-    """Return what another package offers by an entry point, and the package with its version; None where none does.
+    """Return the object of another package's entry point, and that package with its version; None without any.
 
     Parameters
     ----------
@@ -75,7 +73,7 @@ def offered(group: str, name: str) -> tuple[Any, str] | None:
 
 
 def data_frame(columns: Mapping[str, Any], *, index: str = "", units: Mapping[str, str] | None = None) -> Any:
-    """Return a data frame.
+    """Return a pandas data frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures of values, as plain descriptions: only `gbid.report` draws them."""
+"""Figures of values, as plain descriptions that `gbid.report` draws."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 
 class Figure(NamedTuple):
-    """Figure of a value.
+    """Description of one figure of a value.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Figure(NamedTuple):
 
 
 class Pictured:
-    """Base of values with figures."""
+    """Base of values that have figures."""
 
     renderer: ClassVar[Callable[..., Any]]
     """Function that draws the first figure of a value; the package `gbid` sets it, because drawing lies above."""
@@ -36,7 +36,7 @@ class Pictured:
     """Function of `gbid.report` that draws a value with one figure."""
 
     def figures(self) -> list[Figure]:
-        """Return the figures of this value; `plot` draws the first."""
+        """Return the figures of this value; `plot` draws the first figure."""
         return [Figure(self.drawn_by, repr(self).partition("\n")[0], (self,))]
 
     def plot(self, ax: Any = None, **options: Any) -> Any:

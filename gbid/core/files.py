@@ -1,4 +1,4 @@
-"""Files: atomic writing, leftovers of killed processes, checksums, and shared files of the package."""
+"""Files: atomic writing, leftovers of killed processes, checksums, errors of libraries, folder of shared files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tell
 
 @contextlib.contextmanager
 def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Give a temporary path beside `path` that takes its place only when the block ends well.
+    """Return a context with a temporary path beside `path`, which replaces `path` when the block succeeds.
 
     What was written is on the disk before it takes the place: a power cut leaves the old file or the new one, complete.
     A temporary path given by this function is written to as it is.
@@ -75,7 +75,7 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a folder with a symbolic link in it, at any level: what is written there would change files elsewhere.
+    """Refuse a folder that contains a symbolic link, at any level: writing through a link changes other files.
 
     The folder itself may be a link.
 
@@ -97,7 +97,7 @@ def refuse_links(folder: Path) -> None:
 
 @contextlib.contextmanager
 def scratch_folder(beside: Path) -> Iterator[Path]:
-    """Give a temporary folder beside a path. When its process is killed, `remove_stale_parts` finds it there.
+    """Return a context with a temporary folder beside a path; `remove_stale_parts` finds it if the process is killed.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_set(folder: Path, overwrite: bool) -> Iterator[Path]:
-    """Give a temporary folder whose files take their places in `folder` together, when the block ends well.
+    """Return a context with a temporary folder whose files all move to `folder` when the block succeeds.
 
     A new folder appears by one rename. In a folder that is there, the files are renamed one after another, after all of
     them have been written. A process killed in between leaves some of them: the same command writes the others, because
@@ -157,7 +157,7 @@ def _take_places(stage: Path, folder: Path, overwrite: bool) -> None:
 
 
 def _let_others_read(path: Path, mode: int) -> None:
-    """Give a temporary file or folder, which is private, the mode that a new one has in this session."""
+    """Give a private temporary file or folder the mode of a new file or folder of this session."""
     mask = os.umask(0)
     os.umask(mask)
     path.chmod(mode & ~mask)
@@ -168,7 +168,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _no_space(error: BaseException) -> BaseException | None:
-    """Return the error that means a full disk, a full quota or a file above ``ulimit -f``; None without one.
+    """Return the error for a full disk, a full quota or a file above ``ulimit -f``; None for other errors.
 
     It is the error or what that came from, because a library may fail again on its way out.
     """
@@ -210,13 +210,13 @@ def find_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Pat
 
 
 def _prefix(name: str) -> str:
-    """Return the beginning of the name of a temporary file, with the process that it belongs to."""
+    """Return the start of the name of a temporary file, which contains the number of its process."""
     start = _begun(os.getpid())
     return f".{name}.{_host()}~{os.getpid()}{f'-{start}' if start else ''}."
 
 
 def _begun(process: int) -> str:
-    """Return when a process began, in ticks since the start of the machine; empty where that is not known.
+    """Return the start time of a process, in ticks since the start of the machine; empty where it is unknown.
 
     Numbers of processes are given again, and clocks are set. Of a process that has ended, and that its parent has not
     noticed yet (state Z), the answer is empty, too.
@@ -265,7 +265,7 @@ def _cannot_write(path: Path, error: Exception) -> DataError:
     return DataError(f"{path}: cannot be written: {one_line(str(getattr(error, 'strerror', None) or error))}")
 
 
-# ---- Checksum of a file: the SHA-256 of its bytes, written as the last line of the file.
+# ---- Checksums: SHA-256 of a file as its last line, or of a text file in a comment.
 #
 # It covers every byte, so it is checked before the HDF5 library sees the file: this library may crash or never return
 # on damaged bytes. HDF5 readers ignore what follows the end that a file states.
@@ -281,7 +281,7 @@ def with_checksum(content: bytes) -> bytes:
 
 
 def has_valid_checksum(path: Path) -> bool:
-    """Return whether a file ends with its checksum; false when it ends otherwise, errors as `checked_end`."""
+    """Return whether a file ends with its checksum; raises the errors of `checked_end`."""
     return checked_end(path) is not None
 
 
@@ -292,7 +292,7 @@ def sha256_of(path: Path) -> str:
 
 
 def checked_end(path: Path) -> bytes | None:
-    """Return the last 100 bytes before the checksum of a file, or fewer; None when it does not end with one.
+    """Return up to 100 bytes before the checksum of a file; None when the file does not end with a checksum.
 
     Raises
     ------
@@ -325,9 +325,7 @@ def checked_end(path: Path) -> bytes | None:
     return end
 
 
-# ---- Checksum of a text file: the SHA-256 of its lines, written in a comment.
-#
-# A text file may be changed by hand, so a checksum that is not that of the lines is no error here: the reader says so.
+# A text file may be edited by hand, so a checksum that does not match is no error here: the reader reports it.
 # The end of lines does not count, because editors and version control change it.
 
 _COMMENTS = {
@@ -347,7 +345,7 @@ _TRACE = re.compile(rb"gbid sha256|[0-9a-f]{31} of the other")  # of a damaged c
 
 
 def with_text_checksum(text: str, ending: str) -> str:
-    """Return the text of a file with its checksum, in place of the one that it has.
+    """Return the text of a file with a new checksum line; a previous checksum line is replaced.
 
     Parameters
     ----------
@@ -364,14 +362,14 @@ def with_text_checksum(text: str, ending: str) -> str:
 
 
 def add_text_checksum(path: Path, ending: str) -> None:
-    """Write the checksum into a text file; files whose format has no comments stay as they are."""
+    """Write the checksum into a text file; files whose format has no comments stay unchanged."""
     if ending in _COMMENTS:
         text = path.read_bytes().decode()
         path.write_bytes(with_text_checksum(text, ending).encode())
 
 
 def is_changed(content: bytes) -> bool:
-    """Return whether the bytes of a text file have a checksum that is not that of their lines.
+    """Return whether the checksum in a text file differs from the checksum of its other lines.
 
     False also for a text without checksum, as people write it.
     """
@@ -390,12 +388,12 @@ def _plain(content: bytes) -> bytes:
     return content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip()
 
 
-# ---- What libraries raise on damaged files, in words: the one place that turns it into an error of the file.
+# ---- Errors of libraries about damaged files, turned into an error that names the file.
 
 
 @contextmanager
 def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
-    """Return a context in which whatever a library raises on a file becomes a DataError with the name of the file.
+    """Return a context in which any error of a library about a file becomes a DataError with the name of the file.
 
     Errors of gbid and of the system (`OSError`) come out as they are.
 
@@ -420,7 +418,7 @@ def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse what is there but is no file: a pipe, a device, a terminal or a folder, which may never end.
+    """Refuse a path that exists but is no regular file: a pipe, a device, a terminal or a folder.
 
     Raises
     ------
@@ -434,7 +432,7 @@ def refuse_special(path: Path) -> None:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return type and text of an error; of a long text the beginning."""
+    """Return type and text of an error on one line; a long text is cut."""
     lines = f"{type(error).__name__}: {error}".splitlines()
     return lines[0][:_LONGEST]
 
@@ -442,11 +440,8 @@ def in_one_line(error: BaseException) -> str:
 _LONGEST = 300
 
 
-# ---- Folder of the model and experiment files that come with gbid.
-
-
 def share_folder(kind: str) -> Path:
-    """Return the folder of the files that come with gbid.
+    """Return the folder of the model and experiment files that come with gbid.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Index of a results folder: facts read in files, so that a file which has not changed since is not read again.
+"""Index of a results folder: facts about files, cached so that an unchanged file is not read again.
 
 A fact holds for a version of a file: its inode, size and times. Whatever writes or replaces the file changes these, and
 the fact is read again. The index is a cache: it may be deleted, and it is not written where it would save nothing.
@@ -28,7 +28,7 @@ _facts: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by file; a cac
 
 
 def version_of(path: str | Path) -> tuple[int, ...]:
-    """Return numbers of a file that change when it is written or replaced: what was read under them is still true.
+    """Return inode, size and times of a file, which change when the file is written or replaced.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def version_of(path: str | Path) -> tuple[int, ...]:
 
 
 def known(path: Path, fact: str, read: Callable[[Path], T]) -> T:
-    """Return a fact about a file, read once for each version of the file.
+    """Return a fact about a file, computed once for each version of the file.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def known(path: Path, fact: str, read: Callable[[Path], T]) -> T:
 
 
 def load_index(results: Path) -> None:
-    """Take over the facts in the index of a results folder, for the files that have not changed since."""
+    """Load the facts in the index of a results folder, for files that have not changed since."""
     path, folder = results / NAME, f"{results}{os.sep}"
     with suppress(OSError, DataError, ValueError):  # without an index, or with a damaged one, the files are read
         if checked_end(path) is not None:
@@ -77,7 +77,7 @@ def load_index(results: Path) -> None:
 
 
 def save_index(results: Path) -> None:
-    """Write the index of a results folder, when it saves time; nothing happens where it cannot be written."""
+    """Write the index of a results folder if it saves time; a folder without write access is no error."""
     folder, latest = f"{results}{os.sep}", time.time_ns() - _SETTLED_NS
     settled = [
         (name.removeprefix(folder), version, {fact: value for fact, value in facts.items() if fact != DOCUMENT})

@@ -1,4 +1,4 @@
-"""Text and names: free text made safe to show, paths of callers, names of files.
+"""Text and names: text made safe for display, paths given by callers, file names.
 
 Text is kept as it is inside of gbid, and escaped where it is shown. What renderers have rules of their own for (HTML,
 CSV, C, XML) is escaped by them.
@@ -15,7 +15,7 @@ from gbid.core.errors import UsageError
 
 
 def one_line(text: str) -> str:
-    r"""Return a text on one line, without characters that act on a terminal or on the order of letters.
+    r"""Return a text on one line, without control characters and without changes of the writing direction.
 
     Blanks and line breaks become single blanks. Other characters that cannot be printed become their codes.
 
@@ -33,7 +33,7 @@ def one_line(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return a text with each blank as a space and each character that cannot be printed as its code.
+    r"""Return a text with each blank as a space and each unprintable character as its code.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def printable(text: str) -> str:
 
 
 def html_text(text: str) -> str:
-    """Return a text for HTML, as a text or as the value of an attribute; nothing in it acts on the page.
+    """Return a text escaped for HTML, as content or as the value of an attribute.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def html_text(text: str) -> str:
     return escape(printable(text))
 
 
-# ---- Paths that a caller gives, checked before a file is opened, and names of files made of free text.
+# ---- Paths given by callers, and file names made from free text.
 
 LONGEST = 120
 """Largest number of bytes of a part of a file name that is made of a name; file systems take 255 with all additions."""
@@ -70,7 +70,7 @@ _MOST_OF_PART, _MOST = 255, 4095  # bytes of a part of a path and of a whole one
 
 
 def given_path(path: object) -> Path:
-    """Return the path of a caller after its check: a text or path-like that can be the name of a file.
+    """Return a path given by a caller, checked: a text or path-like that can name a file.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def given_path(path: object) -> Path:
 
 
 def file_stem(name: str, longest: int = LONGEST, join: str = "-") -> str:
-    """Return a name for a part of a file name; a long one is cut and ends with a digest, so that it stays unique.
+    """Return a text as a part of a file name; a long text is cut and ends with a digest, to stay unique.
 
     Parameters
     ----------

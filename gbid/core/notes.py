@@ -37,12 +37,12 @@ class Explanation(NamedTuple):
 
 
 class NoteKind(Enum):
-    """Base of the kinds of notes, which have codes. A member is called with the text of a note, and adds its code."""
+    """Base of the kinds of notes, each with a code. Calling a member with a text returns a note with its code."""
 
     value: str
 
     def __call__(self, text: str) -> str:
-        """Return the text of a note with its code behind it.
+        """Return the text of a note followed by its code.
 
         Parameters
         ----------
@@ -141,8 +141,6 @@ class ControlNote(NoteKind):
     IDLE_GAINS = "GB416"
 
 
-# ---- All kinds of notes by their codes.
-
 FAMILIES: Mapping[str, type[NoteKind]] = MappingProxyType(
     {"fits": FitNote, "data and files": DataNote, "surfaces": SurfaceNote, "control and impacts": ControlNote}
 )
@@ -151,7 +149,7 @@ FAMILIES: Mapping[str, type[NoteKind]] = MappingProxyType(
 
 @cache
 def explanations() -> Mapping[str, Explanation]:
-    """Return the explanations by code."""
+    """Return the explanations of all kinds of notes, by code."""
     import tomllib
 
     texts = tomllib.loads(Path(__file__).with_name("notes.toml").read_text(encoding="utf-8"))
@@ -159,7 +157,7 @@ def explanations() -> Mapping[str, Explanation]:
 
 
 def families() -> dict[str, tuple[Explanation, ...]]:
-    """Return the explanations by what the notes are about."""
+    """Return the explanations grouped by subject."""
     return {about: tuple(explanations()[kind.value] for kind in family) for about, family in FAMILIES.items()}
 
 

@@ -1,4 +1,4 @@
-"""Types of options and arguments with their bounds, the check of values by them, and functions that take options."""
+"""Types of options and arguments with bounds, checks of values, and functions that take options as keywords."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from gbid.core.errors import UsageError, nearest
 
 @dataclass(frozen=True)
 class Exact:
-    """Mark of a type whose values pydantic does not convert: ``"3"``, ``3.0`` and ``True`` are no whole numbers.
+    """Mark of a type whose values are not converted: ``"3"``, ``3.0`` and ``True`` are no whole numbers.
 
     Attributes
     ----------
@@ -45,14 +45,14 @@ class Exact:
     finite: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
-        """Return the schema of pydantic for the type, strict."""
+        """Return the strict schema of pydantic for the type."""
         schema = {**handler(source), "strict": True}
         return {**schema, "allow_inf_nan": False} if self.finite and schema["type"] == "float" else schema
 
 
 @dataclass(frozen=True)
 class Allowed:
-    """Mark of a type: what it allows, in words; pydantic says them in place of what each form of the value would be.
+    """Mark of a type with a description of the allowed values, for error messages.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Allowed:
     text: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
-        """Return the schema of pydantic for the type, with one error in the words of the mark."""
+        """Return the schema of pydantic for the type; any error has the text of the mark."""
 
         def checked(value: Any, inner: Callable[[Any], Any]) -> Any:
             try:
@@ -83,7 +83,7 @@ class OneText:
 
 
 class Own:
-    """Mark of a type whose values the constructor checks itself, with words about the data."""
+    """Mark of a type whose values the constructor checks, with messages about the data."""
 
 
 Number = Annotated[float, Exact()]
@@ -109,7 +109,7 @@ _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 
 
 def type_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Origin and arguments of a type behind its aliases, as ``typing.get_origin`` and ``get_args`` give them.
+    """Return origin and arguments of a type, with aliases resolved; see ``typing.get_origin`` and ``get_args``.
 
     From numpy 2.5 on ``NDArray[np.float64]`` is such an alias, ``type NDArray[...] = ndarray[...]``; before, its
     origin was ``ndarray``.
@@ -122,7 +122,7 @@ def type_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def check_options(options: Any, owner: str = "") -> None:
-    """Check the fields of a dataclass of options against their types; a value that is the default is allowed.
+    """Check the fields of a dataclass of options against their types; default values need no check.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def check_options(options: Any, owner: str = "") -> None:
 
 @cache
 def _defaults_of(kind: type) -> tuple[type, list[tuple[str, Any]]]:
-    """Return the dataclass among a class and its bases, and the defaults of its fields."""
+    """Return the dataclass among a class and its bases, with the default of each field."""
     made = next(each for each in kind.__mro__ if "__dataclass_fields__" in vars(each))
     return made, [(field.name, getattr(made, field.name, MISSING)) for field in fields(made) if field.init]
 
@@ -159,7 +159,7 @@ def types_of(made: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value of plain types, as JSON has them: dicts, tuples in place of lists and arrays, Python's numbers."""
+    """Return a value as JSON has it: dicts, tuples (for lists and arrays), numbers of Python."""
     if isinstance(value, Mapping):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -168,7 +168,7 @@ def plain(value: Any) -> Any:
 
 
 def checks_arguments(constructor: _Constructor) -> _Constructor:
-    """Return the ``__init__`` of a class that checks its arguments, see `check_call`."""
+    """Return the ``__init__`` of a class with a check of its arguments; see `check_call`."""
 
     @wraps(constructor)
     def checked(*args: Any, **keywords: Any) -> None:
@@ -178,12 +178,9 @@ def checks_arguments(constructor: _Constructor) -> _Constructor:
     return cast(_Constructor, checked)
 
 
-# ---- Check of a value by its type: pydantic decides, and one line names the option, its value and what is allowed.
-
-
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Type of an option or argument; the check by pydantic is made when a value is checked first."""
+    """Type of an option or argument; its pydantic check is built at the first use."""
 
     hint: Any
 
@@ -205,7 +202,7 @@ class CheckedType:
 
 
 def check_fields(made: type, values: Mapping[str, Any], owner: str) -> None:
-    """Check values of fields of a dataclass, see `check_options`."""
+    """Check values for fields of a dataclass; see `check_options`."""
     kinds = _kinds_of(made)
     for name, value in values.items():
         if not kinds[name].allows(value):
@@ -218,7 +215,7 @@ def _kinds_of(made: type) -> dict[str, CheckedType]:
 
 
 def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any]) -> None:
-    """Check each argument of a call against the annotation of the function, and that no number is nan.
+    """Check each argument of a call against its annotation, and refuse nan.
 
     Raises
     ------
@@ -247,7 +244,7 @@ def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any
 
 
 def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, CheckedType]) -> str:
-    """Return words for a first argument that belongs into the second place."""
+    """Return a hint that two arguments are swapped, when the first value fits the second argument."""
     first, second = [*kinds, "", ""][:2]
     swapped = name == first and second and kinds[second].hint is not Any and kinds[second].allows(value)
     return f"; the order is the other way round: {owner}({first}, {second})" if swapped and value is not None else ""
@@ -255,7 +252,7 @@ def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, Chec
 
 @cache
 def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, CheckedType]]:
-    """Return the signature of a function and the types of its arguments, of options as well."""
+    """Return the signature of a function and the types of its arguments, including options."""
     signature, hints = inspect.signature(function), get_type_hints(inspect.unwrap(function), include_extras=True)
     if hasattr(function, "options_kind"):
         hints |= types_of(function.options_kind)
@@ -263,14 +260,14 @@ def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, CheckedType]
 
 
 def _has_nan(value: Any) -> bool:
-    """Return whether a number is nan, also within lists and mappings; arrays of data may contain it."""
+    """Return whether a number is nan, also within lists and mappings; arrays of data may contain nan."""
     if isinstance(value, list | tuple | Mapping) and len(value) <= 1000:
         return any(map(_has_nan, value.values() if isinstance(value, Mapping) else value))
     return isinstance(value, float | np.floating) and math.isnan(value)
 
 
 def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -> UsageError:
-    """Return the error for a value; of a list or a mapping it names the first entry that its type does not allow."""
+    """Return the error for a value; for a list or mapping, the error names the first wrong entry."""
     place = name
     while (entry := _first_wrong_entry(kind, value)) is not None:
         key, value, kind = entry
@@ -281,7 +278,7 @@ def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -
 
 
 def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
-    """Return key, value and type of the first entry that is not allowed; None where the whole is not."""
+    """Return key, value and type of the first entry that is not allowed; None when there is no such entry."""
     while get_origin(kind) is Annotated and not any(isinstance(mark, Allowed) for mark in get_args(kind)):
         kind = get_args(kind)[0]
     if get_origin(kind) in (Union, UnionType):
@@ -307,7 +304,7 @@ def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
 
 
 def _short(value: Any) -> str:
-    """Return a value as a message shows it: on one line, and the type alone where its text would be long."""
+    """Return a value as text for a message: on one line; of a long value only the type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     try:
@@ -325,7 +322,7 @@ def _allows(hint: Any, value: Any) -> bool:
 
 
 def _pydantic_type(kind: Any) -> Any:
-    """Return the type by which pydantic checks the values of a type.
+    """Return the type that pydantic checks in place of an annotated type.
 
     A number may be one of numpy, a list or tuple any collection, a path a text, and an array whatever numpy makes one
     of. Values of other classes are told by ``isinstance``.
@@ -377,7 +374,7 @@ def _pydantic_type(kind: Any) -> Any:
 
 
 def _only(test: Callable[[Any], bool]) -> Any:
-    """Return a type for pydantic of the values that pass a test."""
+    """Return a type for pydantic that allows the values that pass a test."""
     from pydantic import PlainValidator
 
     def tested(value: Any) -> Any:
@@ -389,14 +386,14 @@ def _only(test: Callable[[Any], bool]) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Return a number of numpy as one of Python; ValueError for whole numbers that no array holds."""
+    """Return a numpy number as a Python number; ValueError for whole numbers that no array holds."""
     if type(value) is int and abs(value) >= 1 << 63:
         raise ValueError
     return value.item() if isinstance(value, np.generic | np.ndarray) and value.ndim == 0 else value
 
 
 def _entries(ordered: bool, value: Any) -> Any:
-    """Return the entries of a collection, of which texts and mappings are none here, nor sets where order counts."""
+    """Return the entries of a collection; texts, mappings and (where order counts) sets are no collections."""
     is_single = (isinstance(value, np.ndarray) and value.ndim == 0) or not isinstance(value, Collection)
     if is_single or isinstance(value, str | bytes | bytearray | Mapping) or (ordered and isinstance(value, Set)):
         raise ValueError
@@ -409,7 +406,7 @@ class ArrayOfNumbers:
 
 @cache
 def _alternatives(kind: Any) -> tuple[Any, ...]:
-    """Return the alternatives of a union, with `ArrayOfNumbers` for those of ``numpy.typing.ArrayLike``."""
+    """Return the alternatives of a union; `ArrayOfNumbers` replaces the parts of ``numpy.typing.ArrayLike``."""
     args, array = get_args(kind), get_args(npt.ArrayLike)
     if not set(array) <= set(args):
         return args
@@ -417,14 +414,14 @@ def _alternatives(kind: Any) -> tuple[Any, ...]:
 
 
 def _array_kind(hint: Any) -> str:
-    """Return the kind of the numbers of a type of arrays, as of ``numpy.dtype.kind``; "c" for what becomes an array."""
+    """Return the ``numpy.dtype.kind`` of a type of arrays; "c" for values that are converted to an array."""
     if hint is ArrayOfNumbers:
         return "c"
     return np.dtype(next(iter(get_args(type_parts(hint)[1][1])), object)).kind
 
 
 def _is_array(wanted: str, single: bool, value: Any) -> bool:
-    """Return whether numpy makes an array of a value whose numbers are of a kind."""
+    """Return whether numpy converts a value to an array of numbers of the wanted kind."""
     if value is None or isinstance(value, str | bytes | Mapping | Set | type):
         return False
     if wanted == "O":
@@ -440,7 +437,7 @@ def _is_array(wanted: str, single: bool, value: Any) -> bool:
 
 
 def _words(kind: Any) -> list[str]:
-    """Return what a type allows, in words: each of its alternatives."""
+    """Return a description of the values that a type allows, with all alternatives."""
     origin, args = type_parts(kind)
     if isinstance(kind, InitVar):
         return _words(kind.type)
@@ -479,7 +476,7 @@ def _either(words: list[str]) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-# ---- Functions that take a dataclass of options by keywords.
+# ---- Functions that take a dataclass of options as keywords.
 
 
 def takes_options(
@@ -487,7 +484,7 @@ def takes_options(
 ) -> Callable[
     [Callable[[_First, _Second, _Made], _Result]], Callable[Concatenate[_First, _Second, _Keywords], _Result]
 ]:
-    """Return a decorator: the third argument, a dataclass of options, is given by the names of its fields.
+    """Return a decorator for a function with options: keywords become its third argument, a dataclass.
 
     Signature and docstring of the function list the options, with the words of the dataclass.
     """
@@ -514,7 +511,7 @@ def takes_options(
 
 
 def options_of_call(kind: type[_Made], owner: str, options: Mapping[str, Any]) -> _Made:
-    """Return a dataclass of the further keywords of a call; TypeError for one that it does not have."""
+    """Return a dataclass of options from the keywords of a call; TypeError for an unknown keyword."""
     names = inspect.signature(kind).parameters
     for name in options:
         if name not in names:
@@ -523,7 +520,7 @@ def options_of_call(kind: type[_Made], owner: str, options: Mapping[str, Any]) -
 
 
 def _with_options(text: str, kind: Any) -> str:
-    """Return a docstring whose line ``**options`` is replaced by the attributes of a dataclass and its bases."""
+    """Return a docstring with the attributes of a dataclass and its bases in place of ``**options``."""
     begin, heading, rest = text.partition("\n**options\n")
     sections = [
         inspect.cleandoc(base.__doc__ or "").partition("Attributes\n----------\n")[2].partition("\n\nNotes\n")[0]

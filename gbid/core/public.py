@@ -1,4 +1,4 @@
-"""Public names: each is imported when it is first used, and functions check the arguments of calls from outside."""
+"""Public names: imported at their first use; public functions check the arguments of outside calls."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def attach(
 
 @cache
 def checked(function: Any, around: Around | None = None) -> Any:
-    """Return a public function: it checks its arguments, see `gbid.core.option_types.check_call`.
+    """Return a public function that checks its arguments; see `gbid.core.option_types.check_call`.
 
     It runs with one thread of BLAS: matrices are small, and threads that wait for each other take several times the
     processor time. ``progress=True`` shows steps on one line. Calls within a call of a public function are not checked.

@@ -1,4 +1,4 @@
-"""Tables: columns with name, unit and format, rows of values, and renderers to CSV, HTML, Markdown and terminal.
+"""Tables: columns with name, unit and format; renderers for CSV, HTML, Markdown and terminal.
 
 A table contains values, not texts. The same table is printed with few digits for readers and written to CSV with all
 digits.
@@ -31,7 +31,7 @@ _LONG = 1e-2
 
 
 def shown_unit(unit: str, largest: float = 0.0) -> tuple[float, str]:
-    """Return factor and unit for showing a value: milliseconds for times, micrometres for lengths.
+    """Return factor and unit for the display of a value: milliseconds for times, micrometres for lengths.
 
     Where the largest of the values is given and is 10 mm or more, lengths are in millimetres.
     """
@@ -41,7 +41,7 @@ def shown_unit(unit: str, largest: float = 0.0) -> tuple[float, str]:
 
 
 def exponent_of(value: float) -> int:
-    """Return the exponent in steps of three; 0 when no exponent is needed.
+    """Return the decimal exponent of a number in steps of three; 0 when no exponent is needed.
 
     Examples
     --------
@@ -54,12 +54,12 @@ def exponent_of(value: float) -> int:
 
 
 def finite_or_none(value: float) -> float | None:
-    """Return a number, or None where it is not finite: JSON has no other word for a missing one."""
+    """Return a finite number, or None: JSON has no nan and no infinity."""
     return float(value) if isfinite(value) else None
 
 
 def probability(p: float) -> str:
-    """Return a probability as text with two digits; very small ones as an upper bound.
+    """Return a probability as text with two digits; a very small one as an upper bound ("< 1e-4").
 
     Examples
     --------
@@ -123,7 +123,7 @@ Value = str | float | int | bool | None
 
 @dataclass(frozen=True)
 class Cell:
-    """Value of a cell with a text or link of its own.
+    """Cell with a display text or a link beside its value.
 
     Parameters
     ----------
@@ -177,12 +177,12 @@ class Column:
 
     @property
     def left(self) -> bool:
-        """Whether the cells are texts, which are aligned left."""
+        """Whether the column has texts, which are aligned left."""
         return self.format == "" and not self.unit
 
     @property
     def lines(self) -> str:
-        """Heading with its line breaks."""
+        """Lines of the heading."""
         gap = "" if self.name.endswith("\n") else " "
         return f"{self.name}{gap}[{self.unit}]" if self.unit else self.name
 
@@ -192,7 +192,7 @@ class Column:
         return " ".join(self.lines.split())
 
     def show(self, entry: Entry) -> str:
-        """Return the text of a cell."""
+        """Return the text of a value in this column."""
         if isinstance(entry, Cell):
             return entry.text or self.show(entry.value)
         if entry is None or entry != entry:
@@ -210,7 +210,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Table of values.
+    """Table of values: columns, rows, title and notes.
 
     Parameters
     ----------
@@ -256,24 +256,24 @@ class Table:
         return data_frame(values, units={name: c.unit for name, c in zip(names, self.columns, strict=True)})
 
     def document(self) -> dict[str, Any]:
-        """Return title, headings and values as a document for JSON; numbers that are not finite are None."""
+        """Return title, headings and values for JSON; nan and infinity are None."""
         values = [[value_of(entry) for entry in row] for row in self.rows]
         rows = [[finite_or_none(value) if isinstance(value, float) else value for value in row] for row in values]
         return {"title": self.title, "columns": [column.heading for column in self.columns], "rows": rows}
 
 
 def titled(title: str, tables: Iterable[Table]) -> list[Table]:
-    """Return tables of which the first has a title, before the one that it has."""
+    """Return tables with a further title put before the title of the first table."""
     return [replace(q, title=f"{title}, {q.title}".removesuffix(", ")) if i == 0 else q for i, q in enumerate(tables)]
 
 
 def value_of(entry: Entry) -> Value:
-    """Return the value of a cell."""
+    """Return the plain value of a cell."""
     return entry.value if isinstance(entry, Cell) else entry
 
 
 def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
-    """Return a cell with its own format and unit, for a column of different quantities; None for a missing value.
+    """Return a cell with a unit and format different from its column's; None for a missing value.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
 
 
 def in_unit(value: float, unit: str, digits: int = 3) -> str:
-    """Return a value as text with significant digits, in the unit of tables.
+    """Return a value as text with significant digits, in the display unit of tables.
 
     Examples
     --------
@@ -315,7 +315,7 @@ def in_unit(value: float, unit: str, digits: int = 3) -> str:
 def keyed_table(
     title: str, columns: Mapping[str, Column], rows: Iterable[Mapping[str, Any]], notes: Sequence[str] = ()
 ) -> Table:
-    """Return the table of some values of rows, picked by the keys of the columns."""
+    """Return the table of rows given as mappings; the keys of the columns select the values."""
     return Table(title, list(columns.values()), [[row[key] for key in columns] for row in rows], notes)
 
 
@@ -325,12 +325,12 @@ def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Se
 
 
 def table_of_records(records: Sequence[Mapping[str, Value]]) -> Table:
-    """Return a table for a file of records; their common keys are the names of the columns."""
+    """Return a table for a file of records; the keys that all records have are the column names."""
     return plain_table(list(records[0]) if records else (), [list(record.values()) for record in records])
 
 
 def table_of_values(kind: type, values: Sequence[object], notes: Sequence[str] = ()) -> Table:
-    """Return a table for a file of values of a dataclass; the names of its fields are those of the columns."""
+    """Return a table for a file from dataclass values; the field names are the column names."""
     names = [field.name for field in fields(kind)]
     return plain_table(names, [[getattr(value, name) for name in names] for value in values], notes)
 
@@ -339,7 +339,7 @@ _CELLS: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": l
 
 
 def read_values(path: Path, kind: type[T]) -> list[T]:
-    """Return the values in a CSV file of `table_of_values`, with cells read by the types of the fields."""
+    """Return the values in a CSV file written from `table_of_values`; the types of the fields decide the cells."""
     readers = {field.name: _CELLS[str(field.type)] for field in fields(cast(Any, kind))}
     return [kind(**{name: read(row[name]) for name, read in readers.items()}) for row in csv_rows(path)]
 
@@ -350,14 +350,14 @@ def csv_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(line for line in handle if not line.startswith("#")))
 
 
-# ---- CSV renderer of tables: numbers with all digits, for programs and spreadsheets.
+# ---- Renderers of tables: CSV, HTML, Markdown, terminal.
 
 _QUOTED = re.compile(r'[,"]|^#|^ | $')  # a first cell with # would be read as a comment
 _FORMULA = re.compile(r"[=@]|[+-](?=.)(?![0-9.]+([eE][+-]?[0-9]+)?$)")
 
 
 def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
-    """Return the text of a CSV file: notes and comments in lines that begin with #, the headings, the rows.
+    """Return the text of a CSV file: notes and comments in # lines, headings, rows.
 
     Numbers are written with all digits, so that they are read back exactly. An empty cell is a missing value. Each row
     is one line of the file. A text that a spreadsheet would take for a formula begins with an apostrophe.
@@ -397,9 +397,6 @@ def _cell_text(value: Value) -> str:
     return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
 
 
-# ---- HTML renderer of tables, with markup for the style of the page and for screen readers.
-
-
 def html_table(table: Table) -> str:
     """Return the HTML of a table; the first cell of a row is its heading. Texts are escaped."""
     title = html_text(table.title)
@@ -428,8 +425,6 @@ def _left(left: bool) -> str:
     return ' class="left"' if left else ""
 
 
-# ---- Markdown renderer of tables.
-
 # Characters with a meaning in Markdown. An underscore inside a name has none.
 _SPECIAL = re.compile(r"[\\|`*<&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
 
@@ -453,11 +448,8 @@ def _escaped(text: str) -> str:
     return _SPECIAL.sub(r"\\\g<0>", one_line(text))
 
 
-# ---- Terminal renderer of tables, with rich.
-
-
 def terminal_table(table: Table) -> Group:
-    """Return the rich table with its notes; control characters and markup in texts have no effect."""
+    """Return a rich table with its notes; control characters and markup in texts are escaped."""
     from rich import box
     from rich.console import Group
     from rich.table import Table as RichTable

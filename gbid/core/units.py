@@ -1,4 +1,4 @@
-"""Known signals of the test rig with their SI units; names and grammar of units, and their conversion.
+"""Units: SI units of the known signals, names and grammar of units, conversion factors.
 
 Inside gbid every number is in SI units. The two scheduling variables are the exception: they keep the units of
 the field, and their names say so (``pressure_bar`` and ``speed_rpm``).
@@ -55,7 +55,7 @@ IN_METRES = ("rotor_bearing", "piezo_pair", "plant")
 """Structures of gbid whose inputs and outputs are in metres."""
 
 
-# ---- Units of text: a closed table of names, and a grammar of products, integer powers and one division.
+# ---- Units as text: a table of names, and a grammar of products, integer powers and one division.
 
 _Dimensions = tuple[int, ...]  # exponents of m, kg, s, A, K and of the angle, which is a quantity of its own here
 
@@ -143,7 +143,7 @@ _EXACT = {"Grad": _WORDS["deg"], "Grd": _WORDS["deg"], "grd": _WORDS["deg"]}  # 
 
 
 class _AmbiguousError(ValueError):
-    """A word that loggers use for two units."""
+    """A unit name that loggers use for two units."""
 
 
 _SEVERAL = {"grad": ("deg", "gon"), "grads": ("deg", "gon"), "S": ("s", "siemens")}
@@ -155,7 +155,7 @@ _LONGEST = 60  # characters of a unit
 
 
 def _factor_of(word: str) -> _Unit:
-    """Return a unit by its name, with a prefix where the unit takes one."""
+    """Return a unit by name, with an SI prefix where the unit allows prefixes."""
     word = word.replace("µ", "u").replace("μ", "u").replace("Ω", "Ohm")
     if word in _SEVERAL:
         raise _AmbiguousError(f"it may be {' or '.join(_SEVERAL[word])}: write the one that is meant")
@@ -171,7 +171,7 @@ def _factor_of(word: str) -> _Unit:
 
 @lru_cache(maxsize=1024)
 def _parsed(text: str) -> _Unit:
-    """Return the unit of a text.
+    """Return the unit that a text describes.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _parsed(text: str) -> _Unit:
 
 
 def _products(text: str) -> list[tuple[str, int]]:
-    """Return names and powers of a product such as ``N s^2`` or ``m*m``."""
+    """Return the factors of a product such as ``N s^2`` or ``m*m``, as names and powers."""
     if text.startswith("(") and text.endswith(")"):
         text = text[1:-1]
     parts = []
@@ -222,19 +222,19 @@ def _products(text: str) -> list[tuple[str, int]]:
 
 
 def is_speed_unit(word: str) -> bool:
-    """Return whether a word means turns a minute: ``U/min``, ``1/min``, ``min^-1``, ``giri/min``, ``r.p.m.``."""
+    """Return whether a text means revolutions per minute, such as ``U/min``, ``1/min``, ``giri/min``, ``r.p.m.``."""
     with suppress(ValueError):
         return math.isclose(_parsed(word).factor, _RPM.factor) and _parsed(word).dimensions == _TURN_RATE
     return False
 
 
 def is_ambiguous(word: str) -> bool:
-    """Return whether loggers use a word for several units."""
+    """Return whether loggers use a unit name for several units."""
     return word.strip() in _SEVERAL
 
 
 def is_unit(word: str) -> bool:
-    """Return whether a word is written as a unit, if only as one of several; an empty word is dimensionless."""
+    """Return whether a text is a unit, also an ambiguous one; an empty text is dimensionless."""
     try:
         _parsed(word)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Reading YAML so that every complaint can name file, line and column."""
+"""YAML files: reading with file, line and column of each value for error messages, changing, writing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _KEPT = 100_000  # characters of the longest text whose tree is kept
 
 @dataclass(frozen=True)
 class YamlFile:
-    """Contents of a YAML file and where each of its values stands.
+    """Contents of a YAML file, and the position of each value.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class YamlFile:
     notes: tuple[str, ...] = ()
 
     def position(self, location: Sequence[str | int]) -> str:
-        """Return ``file:line:col`` of a value by its keys; of the nearest one above when it is not there."""
+        """Return ``file:line:col`` of a value by its keys; of the closest parent when the value is missing."""
         node: Any = self._tree
         line, column = 0, 0
         for key in location:
@@ -110,7 +110,7 @@ def read_yaml(path: Path) -> YamlFile:
 
 
 def with_changes(file: YamlFile, changes: Sequence[str]) -> YamlFile:
-    """Return a file with other values, which are read as YAML; the file on disk stays.
+    """Return the contents of a file with some values replaced (given as YAML text); the file is not changed.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def with_changes(file: YamlFile, changes: Sequence[str]) -> YamlFile:
 
 
 def _change(data: Any, keys: str, value: Any) -> None:
-    """Set one value below its keys; sections that are missing on the way are made."""
+    """Set one value by its keys; missing sections are created."""
     node, rest = data, keys
     while True:
         if isinstance(node, list):
@@ -169,7 +169,7 @@ _kept_tree = lru_cache(maxsize=32)(_tree)  # nobody changes it; a run reads its 
 
 
 def _open_brackets(content: bytes) -> int:
-    """Return the largest number of open brackets, also those in texts; the parser takes the square of it in time."""
+    """Return the largest number of open brackets: the time of the parser grows with its square."""
     steps = np.zeros(len(content) + 1)
     characters = np.frombuffer(content, np.uint8)
     steps[1:] += (characters == ord("[")) | (characters == ord("{"))
@@ -178,7 +178,7 @@ def _open_brackets(content: bytes) -> int:
 
 
 def _check_size(path: Path, tree: Any, length: int) -> None:
-    """Refuse a tree in itself, aliases of aliases that make a huge tree from a short text, and keys that are lists."""
+    """Refuse recursive trees, nested aliases that make a huge tree, and keys that are lists."""
     sizes: dict[int, int] = {}
 
     def size(node: Any, depth: int) -> int:
@@ -203,7 +203,7 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return plain dicts, lists, numbers and text from ruamel's annotated ones; a value with an unknown tag is text."""
+    """Return ruamel's annotated values as plain dicts, lists, numbers and text; an unknown tag becomes text."""
     if isinstance(value, dict):
         return dict(zip(map(plain, value), map(plain, value.values()), strict=True))
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Exact discretisation: matrix exponential, zero- and first-order hold, linear recursion.
+"""Exact discretisation: matrix exponential, zero-order and first-order hold, linear recursion, integrator steps.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

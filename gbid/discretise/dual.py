@@ -1,4 +1,4 @@
-"""Dual matrices: matrices with their derivatives with respect to some parameters."""
+"""Dual matrices: matrices with their derivatives with respect to parameters (forward differentiation)."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Dual:
         return self.__neg__().__add__(other)
 
     def __mul__(self, factor: Any) -> Dual:
-        """Return the product with a number, or with a dual of shape (1, 1) or (1, m) that scales the columns."""
+        """Return the product with a number, or with a Dual of shape (1, 1) or (1, m) that scales the columns."""
         if isinstance(factor, Dual):
             return Dual(self.value * factor.value, self.slope * factor.value + self.value * factor.slope)
         return Dual(self.value * factor, self.slope * factor)
@@ -72,7 +72,7 @@ class Dual:
         return Dual(self.value / number, self.slope / number)
 
     def rows(self, index: slice | list[int]) -> Dual:
-        """Return some rows, as an array indexed by ``[index]``.
+        """Return selected rows, as an array does with ``[index]``.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class Dual:
         return Dual(self.value[..., index, :], self.slope[..., index, :])
 
     def columns(self, index: Any) -> Dual:
-        """Return some columns, as an array indexed by ``[:, index]``.
+        """Return selected columns, as an array does with ``[:, index]``.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Dual:
 
 
 def _by_rows(slope: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return ``slope @ matrix``; without points as one product of all rows, which takes a third of the time."""
+    """Return ``slope @ matrix``; for a single matrix as one product of all rows, three times as fast."""
     if slope.ndim > 3 or matrix.ndim > 2:
         return slope @ matrix
     n_p, n, m = slope.shape
@@ -101,12 +101,12 @@ def _by_rows(slope: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def constant(value: FloatArray, n_parameters: int) -> Dual:
-    """Return a dual whose derivatives are zero."""
+    """Return a Dual whose derivatives are zero."""
     return Dual(value, np.zeros((n_parameters, *value.shape)))
 
 
 def side_by_side(parts: list[Dual]) -> Dual:
-    """Return duals of the same number of rows joined side by side; a matrix without points is the same at all."""
+    """Return Duals joined column by column; a matrix without an axis of points is repeated at all points."""
     points = max((part.value.shape[:-2] for part in parts), key=len)
     parts = [part if part.value.shape[:-2] == points else at_points(part, points) for part in parts]
     return Dual(
@@ -115,7 +115,7 @@ def side_by_side(parts: list[Dual]) -> Dual:
 
 
 def at_points(part: Dual, points: tuple[int, ...]) -> Dual:
-    """Return a dual that is the same at all points, of which `points` is the shape."""
+    """Return a Dual repeated at all points; `points` is the shape of the points."""
     value, slope = part.value, part.slope
     return Dual(
         np.broadcast_to(value, (*points, *value.shape)),

@@ -1,4 +1,4 @@
-"""Matrix exponential and its integrals, symbolic or numeric, by one algorithm.
+"""Exact discretisation of linear systems: matrix exponentials, holds, delays, irregular times, linear recursion.
 
 With ``phi_1(Z) = int_0^1 e^(Z s) ds`` and ``phi_2(Z) = int_0^1 (1 - s) e^(Z s) ds``, the response of
 ``xd = A x + B u`` over one sample consists of ``e^(A h)``, ``h phi_1(A h) B`` and ``h phi_2(A h) B``.
@@ -35,7 +35,7 @@ _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
 
 
 class Exponentials(NamedTuple):
-    """Exponential of ``Z`` and its first two integrals, each (n, n)."""
+    """Matrix exponential of ``Z`` and its first two integrals, each (n, n)."""
 
     exp: Any
     phi1: Any
@@ -82,7 +82,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
 
 @cache
 def compiled(name: str) -> Any:
-    """Return a function of dual_predictor.c; None without a C compiler. Numpy then gives the same numbers."""
+    """Return a function of dual_predictor.c; None without a C compiler, when numpy computes the same numbers."""
     try:
         return getattr(load_library(c_source("gbid.discretise", "dual_predictor.c")), name)
     except CompilerMissingError:
@@ -105,13 +105,13 @@ def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
 
 
 def each(Z: Any) -> FloatArray:
-    """Return the values of a matrix or dual at all points, (n_points, n, n)."""
+    """Return the values of a matrix or Dual at all points, (n_points, n, n)."""
     value = np.asarray(Z.value if isinstance(Z, Dual) else Z, float)
     return value.reshape(prod(value.shape[:-2]), *value.shape[-2:])
 
 
 def squarings_for(matrices: Iterable[FloatArray]) -> int:
-    """Return the number of doublings that makes the Taylor polynomial exact for all given matrices.
+    """Return the number of squarings that makes the Taylor polynomial exact for all given matrices.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _norm(Z: FloatArray) -> float:
     return float(np.abs(Z).sum(axis=0).max())
 
 
-# ---- Exact discretisation of a linear system whose inputs are held or interpolated between samples.
+# ---- Exact discretisation of linear systems, with holds and delays of the inputs.
 
 Hold = Literal["zoh", "foh"]
 """Inter-sample behaviour of an input: constant (zero-order hold) or on a straight line (first-order hold)."""
@@ -164,7 +164,7 @@ class Discrete(NamedTuple):
 
 
 def check_holds(hold: str | Sequence[str], n_inputs: int) -> tuple[Hold, ...]:
-    """Return one hold per input, from one name or a sequence of names.
+    """Return the hold of each input, from one name or a sequence of names.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def hold_response(cycles: FloatArray, holds: Sequence[str]) -> ComplexArray:
 
 
 def over_sample(A: Any, t: Any, squarings: int | None = None) -> Exponentials:
-    """Return ``e^(A t)``, ``phi_1(A t)`` and ``phi_2(A t)``; for numbers the doublings need not be given.
+    """Return ``e^(A t)``, ``phi_1(A t)`` and ``phi_2(A t)``; symbols need the number of squarings.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def discretise(
     *,
     whole: Exponentials | None = None,
 ) -> Discrete:
-    """Return the exact discretisation of ``xd = A x + B u`` for the given hold.
+    """Return the exact discretisation of ``xd = A x + B u`` for a hold.
 
     Parameters
     ----------
@@ -268,9 +268,6 @@ def discretise(
     held = sample_time * (phi1 @ B)
     next_part = sample_time * (phi2 @ (B @ linear))
     return Discrete(exp, held - next_part, next_part)
-
-
-# ---- Exact discretisation of inputs with any delay.
 
 
 class Taps(NamedTuple):
@@ -351,19 +348,17 @@ def delayed_taps(
 
 
 def whole_samples(seconds: float, sample_time: float) -> int:
-    """Return the whole samples in a delay [s]; a negative one is refused."""
+    """Return the number of whole samples in a delay [s]; a negative delay is refused."""
     if seconds < 0:
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     return int(np.floor(seconds / sample_time))
 
 
-# ---- Irregular times: intervals that are equal share their matrices.
-
 _SAME = 1e-9  # relative difference of intervals that is rounding: over a million samples, a thousandth of one
 
 
 def distinct_steps(*times: FloatArray) -> FloatArray:
-    """Return the different intervals between the times of one or several records [s], in rising order.
+    """Return the different intervals between the times of one or several records [s], in ascending order.
 
     Intervals are the same when they differ by the rounding of the times or by less than 1e-9 of the median interval.
     """
@@ -375,7 +370,7 @@ def distinct_steps(*times: FloatArray) -> FloatArray:
 
 
 def step_numbers(time: FloatArray, steps: FloatArray) -> IntArray:
-    """Return the position in `steps` of the interval after each time, (n_samples,); the last has that before it."""
+    """Return the position in `steps` of the interval after each time, (n_samples,); the last value is repeated."""
     numbers = np.searchsorted((steps[1:] + steps[:-1]) / 2, np.diff(time))
     return np.append(numbers, numbers[-1:])
 

@@ -1,4 +1,4 @@
-"""One step of an integrator for ``xd = f(x, u)``, as a CasADi expression."""
+"""One step of an integrator for ``xd = f(x, u)`` as a CasADi expression, and the inputs within a step."""
 
 from __future__ import annotations
 
@@ -69,9 +69,6 @@ def _rosenbrock(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX], step: ca.SX) -
     k3 = stage(f(x + 2 * k1, last) + (k1 - k2) / step)
     k4 = stage(f(x + 2 * k1 + k3, last) + (k1 - k2 - 8 / 3 * k3) / step)
     return x + 2 * k1 + k3 + k4
-
-
-# ---- Inputs within a sample as straight lines for the steps of an integrator, with or without an exact delay.
 
 
 def step_inputs(

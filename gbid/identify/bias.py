@@ -21,8 +21,6 @@ from gbid.identify.uncertainty.residual_tests import followed, whiteness_test
 from gbid.structure.built_in import exact_delays
 from gbid.structure.kinds import AnyStructure
 
-# ---- Bias of delay and hold.
-#
 # A measured input is known at its samples only. First-order hold draws straight lines between them, and a Pade filter
 # in place of a delay bends the phase. Both errors act on the estimates, and hardly on the residuals. Their size comes
 # from Gauss-Newton steps in a problem with exact delays and inputs on curves.
@@ -181,8 +179,6 @@ def hold_notes(names: Sequence[str], units: Sequence[str], moved: FloatArray, st
     return [FitNote.HOLD(text)]
 
 
-# ---- Test whether the errors of a fit come back in its inputs, as through a controller.
-
 _PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
 _AT_ONCE = 1024  # rows
 _MOST = 8192  # samples of a record that are enough
@@ -230,8 +226,6 @@ def share_of_feedback(record: Record, errors: FloatArray) -> float:
     largest = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
     return largest if largest * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
 
-
-# ---- Bias by what the structure leaves out: residuals that follow an input.
 
 _CHANCE = 1e-3  # that residuals which follow no input are said to: one campaign of 86 fits in ten has such a fit
 

@@ -264,8 +264,6 @@ def channels_of(recording: Recording, names: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-# ---- Outputs that are combinations of others.
-
 _DEPENDENT = 1e-5  # of the size of an output: what others may leave of it; above, no error is so small in comparison
 
 

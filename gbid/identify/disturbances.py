@@ -204,8 +204,6 @@ UNDISTURBED = Disturbances()
 """No disturbances."""
 
 
-# ---- Disturbances that the options of a fit ask for.
-
 TREND_WORDS = {"none": Trend(0), "offset": Trend(1), "linear": Trend(2), "random walk": Trend(0, random_walk=True)}
 """Trends of an output by their words; a number is the degree of a polynomial."""
 

@@ -25,8 +25,6 @@ from gbid.core.tables import (
 )
 from gbid.structure.models import LinearModel
 
-# ---- Document of a fit: plain values in SI units for tables and JSON.
-
 
 def parameter_rows(result: Any, truth: Mapping[str, float]) -> list[Row]:
     """Return estimates with standard deviations and, where known, true values.
@@ -160,8 +158,6 @@ def fit_document(result: Any, truth: Mapping[str, float] | None = None, true_mod
         "notes": list(result.notes),
     }
 
-
-# ---- Summary of a fit in words.
 
 Line = tuple[str, str]
 """Heading and text of a line."""

@@ -79,8 +79,6 @@ def fit(structure: AnyStructure, recordings: Measured, options: FitArguments) ->
     return fitted(structure, recordings, options)
 
 
-# ---- Outputs that are combinations of others: their errors tell whether they are measured apart.
-
 _OF_ERROR = 1e-3  # what a combination leaves of an output, as a part of its error, below which none is measured apart
 _NAMED = 4  # outputs of a combination that a note names
 _NO_ERROR = 1e-6  # of the size of an output: errors of simulated data without noise
@@ -200,8 +198,6 @@ def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Measur
     return again
 
 
-# ---- Means of outputs that inputs do not explain: a second fit tells whether they move the estimates.
-
 _OF_MOTION = 0.05  # of the standard deviation of an output, below which its mean is no suspect
 _CERTAIN = 4.0  # standard deviations of an offset, beyond chance for a few outputs and recordings
 _MOVED = 0.5  # standard deviations by which an estimate moves, from which its interval is a different one
@@ -251,7 +247,7 @@ def _note_of_means(
     return (FitNote.MEANS(text),)
 
 
-# ---- The nonlinear programme of a fit as functions of CasADi.
+# ---- Nonlinear programme of a fit as CasADi functions.
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,9 +48,6 @@ def check_linear(structure: AnyStructure) -> None:
         raise UsageError(f"{structure.name}: frequency responses are for linear structures with constant parameters")
 
 
-# ---- Start values.
-
-
 def response_start(
     structure: AnyStructure,
     parameters: Sequence[Parameter],
@@ -108,9 +105,6 @@ def steady_motion(data: FrequencyData) -> FitData:
     outputs = sum((lines[:, of_input[:, j]] @ response[of_input[:, j], :, j]).real for j in range(n_u))
     record = Record(data.name, (lines @ of_input).real, np.ascontiguousarray(outputs))
     return FitData((record,), h, data.input_names, data.output_names, ("",) * len(data.output_names))
-
-
-# ---- Errors at the estimates.
 
 
 class ResponseResiduals(NamedTuple):

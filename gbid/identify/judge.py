@@ -117,9 +117,6 @@ def judge(optimum: Optimum) -> FitResult:
     )
 
 
-# ---- Errors at the estimates.
-
-
 @dataclass(frozen=True, eq=False)
 class Residuals:
     """Errors of a fit at its estimates, and what they are.
@@ -245,9 +242,6 @@ def _fit_percent(errors: FloatArray, centred: FloatArray) -> FloatArray:
     """Return ``100 (1 - |e| / |y - mean y|)`` of each output; `centred` has an output in each row."""
     left, full = ([each @ each for each in rows] for rows in (errors.T, centred))
     return np.asarray(100 * (1 - np.sqrt(np.divide(left, full))))
-
-
-# ---- What follows from the errors, each computed once.
 
 
 @dataclass(frozen=True, eq=False)
@@ -530,7 +524,7 @@ class Judged:
         return begin.origin[name] if self.optimum.problem.start[name] == begin.values[name] else "data"
 
 
-# ---- Checks: each yields notes on one matter.
+# ---- Checks of a fit: each function yields the notes of one check.
 
 _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named
 _PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion

@@ -368,7 +368,7 @@ def with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tu
     return tuple(changed)
 
 
-# ---- Optimum of a problem: solved, from other disturbance gains too, with the steps and weights that it needs.
+# ---- Solution of a posed problem, with refinements: robust weights, missing outputs, shorter pieces, other minima.
 
 
 @dataclass(frozen=True, eq=False)
@@ -516,9 +516,6 @@ def _nearer(shooting: Shooting, start: FloatArray) -> FloatArray:
     return min(points, key=lambda unknowns: shooting.at(unknowns).cost)
 
 
-# ---- Missing outputs: gains and variances after gaps, in rounds.
-
-
 def _with_kalman_gains(
     shooting: Shooting, solution: Solution, run: Callable[[FloatArray, Shooting], Solution]
 ) -> tuple[Shooting, Solution]:
@@ -557,9 +554,8 @@ def _with_kalman_gains(
     return shooting, replace(solution, status=FitStatus.ITERATION_LIMIT)
 
 
-# ---- Pieces of a course with constant parameters, as short as the estimates need.
-#
-# The pieces are the steps of an integrator, and its criterion holds for them (`gbid.identify.problem.integration`).
+# Scheduling signals are constant in pieces. The pieces act as the steps of an integrator, and they are shortened by the
+# criterion of `gbid.identify.problem.integration`.
 
 
 def _cut_finely(
@@ -639,9 +635,6 @@ def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, fir
     return replace(solution, unknowns=whole if simulated_cost <= at_start else begun, status=status)
 
 
-# ---- Other minima of the disturbance gain: where errors are strongly coloured, the first minimum need not
-# be the lowest.
-#
 # With errors that the structure cannot whiten (a stiffening film, process noise) the criterion has several minima, far
 # apart along the disturbance gain. At such a minimum a coarse grid of gains is looked over, all else held. Where the
 # criterion is lower already, the fit begins again.

@@ -35,8 +35,6 @@ from gbid.structure.kinds import kind_of
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts, Matrices, symbolic_matrices
 from gbid.structure.parameter import once
 
-# ---- What every predictor has, linear or not: free parameters, sizes, and regressors from the samples of a record.
-
 
 @dataclass(frozen=True, eq=False)
 class GeneralPredictor(ABC):

@@ -364,8 +364,6 @@ def _lowest(attempts: Sequence[Attempt]) -> Attempt:
     return replace(best, result=best.result.noted(*notes))
 
 
-# ---- Start of a nonlinear fit from windows with open gaps.
-
 _ROUGHLY = 50  # iterations: start values need not be exact
 
 
@@ -393,7 +391,7 @@ def data_start(task: FitTask) -> dict[str, float] | None:
     return begin.values
 
 
-# ---- Observer of a structure: the steady Kalman filter for assumed noise.
+# ---- Steady observer (Kalman filter for assumed noise), whose gain starts a fit.
 #
 # A predictor with this gain is stable for any detectable model, also for an unstable plant. Its errors depend smoothly
 # on the parameters, so that a fit with it converges from far away.

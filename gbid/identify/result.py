@@ -95,8 +95,6 @@ class FitStatus(StrEnum):
         return self.name.startswith("CONVERGED")
 
 
-# ---- Profile likelihood of a parameter.
-
 Verdict = Literal["identifiable", "one-sided", "flat", "not a minimum"]
 """What a profile says of a parameter."""
 

@@ -133,7 +133,7 @@ def _normal_distances(n_outputs: int) -> tuple[FloatArray, FloatArray]:
     return distance**2, density / density.sum()
 
 
-# ---- Fit with a robust loss by iterated weights: each round solves the problem with constant weights of samples.
+# ---- Fit with a robust loss, by iteratively reweighted least squares.
 
 _ROUNDS = 40
 _SETTLED = 1e-3  # largest change of a weight

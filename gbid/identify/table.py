@@ -306,9 +306,6 @@ def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
     return np.array([by.join(each) for each in texts], dtype=str)
 
 
-# ---- Tables of fits in files; docs/file-formats.md describes tree and columns.
-
-
 def csv_table(fits: FitTable) -> Table:
     """Return the columns of a table of fits for a CSV file, with a note on units; nan becomes a missing value."""
     columns = fits.columns()
@@ -316,9 +313,6 @@ def csv_table(fits: FitTable) -> Table:
     values = [[None if value != value else value for value in array.tolist()] for array, _ in columns.values()]
     rows = list(zip(*values, strict=True))
     return plain_table(list(columns), rows, [f"units, SI where none is given: {units}"])
-
-
-# ---- Table of fits from their results.
 
 
 @dataclass(frozen=True, eq=False)

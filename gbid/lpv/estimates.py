@@ -18,7 +18,7 @@ from gbid.lpv.model import Domain
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduling import SCHEDULING, Exponents, exponents_of, monomials, term_name
 
-# ---- Terms over the scheduling variables as well-conditioned regressors, and whether operating points determine them.
+# ---- Terms of the surfaces as orthogonal regressors, and whether operating points determine them.
 
 Order = int | Literal["auto"] | Sequence[str]
 HIGHEST_ORDER = 3  # highest order that is compared; the model of a gas bearing has the six terms of Eq. 16 only

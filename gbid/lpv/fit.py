@@ -358,9 +358,6 @@ def _rows(names: Sequence[str], coefficients: FloatArray) -> dict[str, tuple[flo
     return {key: tuple(row) for key, row in zip(names, coefficients.tolist(), strict=True)}
 
 
-# ---- Surfaces over the scheduling variables, fitted to the estimates of a campaign.
-
-
 def fit_lpv(
     fits: FitTable | Sequence[FitResult] | Estimates,
     points: Sequence[Sequence[float]] | Sequence[float] | None = None,

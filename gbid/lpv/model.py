@@ -22,8 +22,6 @@ from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorB
 from gbid.structure.linear import Structure, model_function
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
 
-# ---- Polynomials in the scheduling variables (paper, Eq. 16).
-
 __all__ = ["EXPONENTS", "SCHEDULING", "TERMS", "basis", "polynomial", "regressors"]
 
 
@@ -97,9 +95,6 @@ def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -
     if len(coefficients) != len(terms):
         raise UsageError(f"{len(coefficients)} coefficients for {len(terms)} terms")
     return sum(c * t for c, t in zip(coefficients, terms, strict=True))
-
-
-# ---- Domain: the range of the scheduling variables in which a model was identified.
 
 
 @dataclass(frozen=True, init=False)
@@ -218,9 +213,6 @@ def _numbers(name: str, value: Any, owner: str) -> FloatArray:
         bad = values[~np.isfinite(values)][0]
         raise UsageError(f"{owner}: {name} = {bad:g} is not finite; give a finite number")
     return values
-
-
-# ---- The model.
 
 
 @dataclass(frozen=True)
@@ -545,8 +537,6 @@ def _as_float(value: Any) -> Any:
         return np.asarray(value, float)
     return float(value) if isinstance(value, int | float | np.integer | np.floating) else value
 
-
-# ---- Characteristics of the machine from its key parameters: delays, modes and static gains.
 
 UNITS = {"tau": "s", "omega": "Hz", "zeta": "1", "g": "m/m"}
 """Unit by the name's first part."""

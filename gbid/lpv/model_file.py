@@ -19,8 +19,6 @@ from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
 from gbid.lpv.model import TERMS, Domain, LPVModel, MachineData
 from gbid.structure import KEY_PARAMETERS
 
-# ---- Values of a file, with unit and source.
-
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 """A finite number; text and booleans are refused when a file is read."""
 
@@ -211,8 +209,6 @@ class PublishedMachine(Brief):
     alternatives: dict[str, LPVModel] = field(default_factory=dict)
 
 
-# ---- Schema of a model file, and application of its corrections.
-
 SCHEMA_VERSION = 1
 SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
 """Unit of each group of key parameters in a `LPVModel`."""
@@ -390,9 +386,6 @@ def _actuator_values(table: ModelFile) -> dict[str, float]:
     if table.actuators is None:
         return {}
     return {name: value for name, value in vars(table.actuators).items() if name != "source"}
-
-
-# ---- Reading and writing of model files.
 
 
 def load_model(name_or_path: str | Path) -> LPVModel:

@@ -34,7 +34,7 @@ from gbid.lpv.estimates import (
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, Exponents
 
-# ---- Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
+# Mixed-effects model: linear regression of vectors with known covariances and an unknown scatter between them.
 #
 # .. math:: y_i = X_i c + b_i + e_i, \quad b_i \sim (0, S), \quad e_i \sim (0, C_i)
 #
@@ -245,7 +245,7 @@ def _scores(residuals: FloatArray, pull: FloatArray, weighted: FloatArray) -> Fl
     return np.asarray((weighted.transpose(0, 2, 1) @ without)[:, :, 0])
 
 
-# ---- Outliers from the surfaces: a robust rule that finds them, and Huber's estimate that gives them less weight.
+# ---- Outliers from the surfaces: detection, and Huber's estimate, which gives them less weight.
 
 _MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 _LEAST_OUTLIERS = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
@@ -462,8 +462,6 @@ def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, sche
         errors[out] = values[out] - columns[out] @ coefficients
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
-
-# ---- Surfaces through the estimates.
 
 Weighting = Literal["scatter", "fits", "ordinary"]
 _NAMED = 3  # recordings named in a note

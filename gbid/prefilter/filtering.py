@@ -24,8 +24,6 @@ from gbid.core.tables import Column, Row, Table, shown_unit
 from gbid.prefilter.runout import RunoutMap, running_median, sensor_notes, shaft_motion
 from gbid.recording import Recording
 
-# ---- Spikes: single wrong samples, found by their neighbours and replaced.
-
 THRESHOLD = 6.0
 """Robust standard deviations by which a sample must miss the cubic through its neighbours."""
 ONE_SIDED = 4.0
@@ -405,7 +403,7 @@ def _without_runout(
     return np.asarray(p - runout_map.evaluate(shaft_motion(rec).angle))
 
 
-# ---- Online prefilter for a controller, sample by sample; where no spike is found, equal to the offline filter.
+# ---- Online prefilter, sample by sample; equal to the offline filter where no spike is found.
 
 
 class OnlinePrefilter:
@@ -545,7 +543,7 @@ class OnlinePrefilter:
         return np.asarray(value if self._offset is None else value - self._offset)
 
 
-# ---- Run-out map and prefilter reports in one HDF5 file; docs/file-formats.md describes the tree.
+# ---- HDF5 files of run-out maps and prefilter reports; docs/file-formats.md describes the tree.
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,7 @@ from gbid.core.notes import DataNote
 from gbid.recording import Recording
 from gbid.recording.quality import find_problems
 
-# ---- Cosine and sine by the same elementary operations on every machine, so that a program in C can give the same
-# bits.
+# ---- Cosine and sine from elementary operations: the same bits on every machine, and in C.
 
 QUARTERS_PER_RADIAN = 0.6366197723675814
 QUARTER = (1.5707963267341256, 6.077100506506192e-11)
@@ -261,7 +260,7 @@ def differing_condition(first: Mapping[str, float], second: Mapping[str, float])
     return None
 
 
-# ---- Shaft angle of a recording: whether the shaft turns, and whether this fits the stated speed.
+# ---- Shaft angle of a recording, compared with the stated speed.
 
 _STILL = np.deg2rad(1.0)
 _SPEED_TOLERANCE = 0.02

@@ -211,8 +211,6 @@ def _rms(parts: list[FloatArray]) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0)))
 
 
-# ---- Residual of a run-out map on a recording with piezos at rest, and its part beyond sensor noise.
-
 SHARE = 0.3
 """A line is named when its rms is above this share of the sensor noise."""
 _WHOLE = 0.02  # an order is a harmonic of the shaft within this distance
@@ -554,7 +552,7 @@ def _simplest_of_the_best(trials: list[RunoutTrial]) -> RunoutTrial:
     return min(alike, key=lambda entry: entry[:2])[2]
 
 
-# ---- Alignment of recordings without encoder index: the run-out shows the offset of the shaft angle.
+# ---- Alignment of recordings without encoder index: the run-out gives the offset of the shaft angle.
 
 SURE = 5.0
 """Number of standard deviations by which every other offset must be worse."""

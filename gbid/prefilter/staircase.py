@@ -21,8 +21,6 @@ from gbid.core.option_types import Share
 from gbid.core.tables import Column, Entry, Row, Table, finite_or_none, shown_unit
 from gbid.recording import Recording
 
-# ---- Plateaus of a staircase, and their steady means with standard errors.
-
 MIN_SAMPLES = 40
 """Smallest number of samples in a steady part from which a standard error can be estimated."""
 _BATCHES = 10
@@ -189,8 +187,6 @@ def _without_harmonics(part: FloatArray, angle: FloatArray) -> FloatArray:
     solution = np.linalg.lstsq(basis, part, rcond=None)[0]
     return np.asarray(part - basis[:, 1:] @ solution[1:])
 
-
-# ---- Up and down branches of a staircase, and the difference between them.
 
 _WIDEST = 2.5  # largest distance of neighbours, in median steps
 

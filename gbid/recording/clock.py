@@ -63,8 +63,6 @@ def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: floa
     return out
 
 
-# ---- Steps of a time column: gaps, doubled samples and jitter.
-
 MAX_JITTER = 0.01
 """Largest relative deviation of a time step from the median step that is taken as rounding of the time column."""
 MAX_RESAMPLED = 0.2
@@ -182,8 +180,6 @@ def _gap(step: float, median: float, time: float, sample: int) -> str:
     return f"a gap of {step:g} s {after}"
 
 
-# ---- Columns of one file with clocks of their own, joined on their common span.
-
 _SAME_STEP = 1e-9  # largest relative difference of the steps of two clocks by rounding
 _OFF_GRID = 0.02  # largest part of a sample by which starts of clocks, and their ends, may differ from whole samples
 
@@ -266,8 +262,6 @@ def _starts_in_words(columns: Mapping[str, FileColumn]) -> str:
     )
     return f"{text} and {len(late) - _LISTED} more" if len(late) > _LISTED else text
 
-
-# ---- Sample time of an import: from the mapping, from a time column, or as the file states it.
 
 MAX_DISAGREEMENT = 1e-3
 """Largest relative difference between sample_time_s, the time column and what the file states."""
@@ -468,8 +462,6 @@ def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, F
         )
     return mapping.sample_time
 
-
-# ---- Times of a time column in seconds, with the units of dates that programs write as numbers.
 
 _LONGEST = 1e100  # s; no sum or square of such times overflows
 _SHORTEST_STEP, _LONGEST_STEP = 1e-6, 1.0  # s; sample times of rigs

@@ -15,8 +15,6 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.units import conversion_factor, is_ambiguous, is_speed_unit, is_unit
 
-# ---- Units of the columns of a file: what file and mapping say about them, and their factors.
-
 
 def written_unit(word: str) -> str:
     """Return a unit that a file states without blanks around it; turns a minute in all spellings are ``rpm``."""
@@ -63,8 +61,6 @@ def unit_factor(path: Path, what: str, unit: str, target: str) -> float:
     except UsageError as error:
         raise UsageError(f"{path}: {what}: {error}") from None
 
-
-# ---- Columns of a file: their values and units, their names, and the notation ``name[3]`` for one column of an array.
 
 _INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
 _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")

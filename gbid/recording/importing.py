@@ -348,7 +348,7 @@ def _another(name: str, unit: str) -> str:
     return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
 
 
-# ---- Look into a file before its import: its channels; its completeness, length and sample time.
+# ---- Inspection of a file before its import: channels, completeness, length and sample time.
 
 _ALIKE = 2e-3  # largest relative difference between the mean step and that of the first rows of a clock without gap
 

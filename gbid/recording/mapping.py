@@ -13,8 +13,6 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
 
-# ---- What a user says about the layout of a text file; the rest is found in the file.
-
 DELIMITERS = (",", ";", "\t", " ")
 """Delimiters that are tried, in this order; the blank stands for any number of blanks and tabs."""
 DECIMALS = (".", ",")

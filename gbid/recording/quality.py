@@ -19,8 +19,6 @@ from gbid.core.notes import FitNote
 from gbid.recording.cause import lead_before
 from gbid.recording.recording import Recording, without_gaps
 
-# ---- One quality problem of a recording.
-
 ProblemKind = Literal[
     "constant",
     "saturated",
@@ -59,7 +57,7 @@ class SignalProblem:
     text: str
 
 
-# ---- Check that the sensors respond to the excitation: dead sensors and swapped channels.
+# ---- Response to the excitation: dead sensors and swapped channels.
 #
 # No model is used. The frequency response H from all moving inputs to all outputs is estimated from segments of the
 # recording, at the frequencies where the inputs have power. The multiple coherence follows from it: the share of an
@@ -224,7 +222,7 @@ def find_early_answers(rec: Recording) -> Iterator[SignalProblem]:
             yield SignalProblem(name, "", "cause", FitNote.BEFORE_CAUSE(text))
 
 
-# ---- Check for contact of rotor and bearing: sudden changes of velocity far from the centre.
+# ---- Rub: contact of rotor and bearing, seen as sudden changes of velocity far from the centre.
 
 OUTSIDE = 0.7
 """Impacts are searched beyond this share of the largest radius."""
@@ -423,7 +421,7 @@ def _struck(rec: Recording, half: int) -> BoolArray:
     return np.asarray(np.convolve(struck, np.ones(2 * half + 5), mode="same") > 0, dtype=bool)
 
 
-# ---- Checks of the sample time and of the shaft encoder.
+# ---- Sample time, shaft encoder and speed.
 
 SPEED_TOLERANCE = 0.02
 """Largest relative difference between the speed of the encoder and the stated speed."""
@@ -516,8 +514,6 @@ def _long_runs(at: BoolArray, least: int) -> FloatArray:
     long = [np.arange(a, b) for a, b in runs(at) if b - a >= least and a > 0 and b < len(at)]
     return np.concatenate(long) if long else np.zeros(0, int)
 
-
-# ---- Check of the speed over a recording: a run-up, a coast-down, a speed that changes.
 
 BLOCK = 0.05
 """Shortest block over which a speed is averaged [s]; it is at least a turn long."""
@@ -744,7 +740,7 @@ def _settles(arrivals: list[float], levels: FloatArray, counts: IntArray) -> boo
     return bool(np.median(arrivals) <= 1.5 * np.median(spacing) and speed[:2].mean() < 0.6 * speed[2:].mean())
 
 
-# ---- Quality checks across recordings: equal content under two names, and a sample time unlike the others.
+# ---- Checks across recordings: equal content under two names, and a sample time unlike the others.
 
 MAX_LEVELS = 4
 """A command with at most this number of distinct values is a test signal with held levels (PRBS)."""

@@ -120,8 +120,6 @@ class FileFormat:
     responses: Callable[[Path], tuple[dict[tuple[str, str], PairResponse], bool]] | None = None
 
 
-# ---- Channels of a stored array, for the listing of a file.
-
 MAX_COLUMNS = 256
 """Largest number of columns of an array that are listed one by one."""
 SHOWN = 3

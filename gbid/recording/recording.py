@@ -25,8 +25,6 @@ from gbid.core.units import SIGNALS, conversion_factor
 from gbid.recording.clock import MAX_JITTER
 from gbid.recording.columns import seconds
 
-# ---- Signals and sample time of a recording from the columns of a data frame.
-
 
 def signal_columns(
     frame: Any, signals: Mapping[str, str | Sequence[str]] | None, time: str | None
@@ -715,7 +713,7 @@ def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
     return array
 
 
-# ---- Signal of the direction and size of an unbalance force, for structures with an unbalance.
+# ---- Unbalance signal, for structures with an unbalance.
 
 _RPM = np.pi / 30
 

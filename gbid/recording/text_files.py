@@ -173,8 +173,6 @@ def _encoding(data: bytes) -> str:
     return "utf-8"
 
 
-# ---- Layout of a table in a text file: delimiter, decimal sign, the lines of names and units, and the first row.
-
 COMMENTS = ("#", "%", "//")
 """Beginnings of lines that are comments."""
 _TAIL, _SPREAD = 20, 300  # lines at the end that show the columns; lines over the whole file that show the decimal sign
@@ -618,7 +616,7 @@ def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[Numbered
     return None if at is None else below[at], below[ends].number if below else 0, block
 
 
-# ---- Table in a text file: its headings, its units, and its columns as numbers.
+# ---- Table in a text file: headings, units, and columns as numbers.
 
 CUT = "left out: it has no line break, so the file may have been cut there"
 

@@ -1,4 +1,4 @@
-"""Model structures: delays, rotor-bearing, actuators, their series connection, and structures of a user.
+"""Model structures: rotor bearing, actuators, their series connection, loops, and user-defined structures.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

@@ -99,7 +99,7 @@ def wiener_hammerstein(
     parameters += [Parameter(f"f_{i}", 0.0) for i in range(len(corners))] + [Parameter("y_0", 0.0)]
 
     def filtered(x: Any, first: int, u: Any, denominator: list[Any], numerator: list[Any]) -> tuple[list[Any], Any]:
-        """Return derivatives and output of a filter, whose states begin at `first`."""
+        """Return state derivatives and output of a filter whose states start at index `first`."""
         states = [x[first + i] for i in range(len(denominator))]
         highest = u - sum(a * state for a, state in zip(denominator, states, strict=True))
         terms = zip(numerator, [*states, highest], strict=True)
@@ -128,6 +128,6 @@ def wiener_hammerstein(
 
 
 def _butterworth(order: int) -> FloatArray:
-    """Return the denominator of a Butterworth filter of frequency 1, ascending, without the leading one: (order,)."""
+    """Return the denominator of a Butterworth filter of frequency 1, ascending, without the leading 1: (order,)."""
     poles = np.exp(0.5j * np.pi * (2 * np.arange(order) + order + 1) / max(order, 1))
     return np.real(np.atleast_1d(np.poly(poles)))[:0:-1]

@@ -1,4 +1,4 @@
-"""Structure of the rotor on its controllable gas bearing (paper, Sec. 3.2)."""
+"""Built-in structures of the test rig: rotor bearing, piezo actuators, and both in series (paper, Sec. 3)."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class RotorBearing(Brief):
 
     @property
     def forgotten_states(self) -> tuple[int, ...]:
-        """States of the Padé filters, which forget their start within milliseconds; none with exact delays."""
+        """States of the Padé filters, whose initial values decay within milliseconds; none with exact delays."""
         return tuple(range(4, 4 + 2 * (self.pade_order or 0)))
 
     def _gain_names(self) -> list[str]:
@@ -142,12 +142,12 @@ class RotorBearing(Brief):
 
 
 def square(p: Values, letter: str) -> Any:
-    """Return the 2x2 matrix of the entries ``letter_xx`` to ``letter_yy``."""
+    """Return the 2x2 matrix of the parameters ``letter_xx`` to ``letter_yy``."""
     xx, xy, yx, yy = (p[f"{letter}_{pair}"] for pair in PAIRS)
     return ca.vertcat(ca.horzcat(xx, xy), ca.horzcat(yx, yy))
 
 
-# ---- Structure of two pairs of PD-controlled piezo actuators (paper, Sec. 3.3).
+# ---- Two pairs of PD-controlled piezo actuators (paper, Sec. 3.3).
 
 
 @dataclass(frozen=True)
@@ -197,11 +197,11 @@ class PiezoPair(Brief):
 
     @property
     def exchangeable(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of parameters that may be exchanged: the real poles of each axis."""
+        """Pairs of exchangeable parameters: the two real poles of each axis."""
         return () if self.poles == "any" else tuple((f"p1_{axis}", f"p2_{axis}") for axis in AXES)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return A, B, C, D and K for parameters by name."""
+        """Return A, B, C, D and K for given parameter values."""
         blocks = [self._axis(p, axis) for axis in AXES]
         return {letter: ca.diagcat(*(block[letter] for block in blocks)) for letter in "ABCDK"}
 
@@ -224,7 +224,7 @@ class PiezoPair(Brief):
         }
 
 
-# ---- Structure of actuators and rotor-bearing in series (paper, Eqs. 3 and 20).
+# ---- Actuators and rotor bearing in series (paper, Eqs. 3 and 20).
 
 
 @dataclass(frozen=True)
@@ -270,17 +270,17 @@ class Plant(Brief):
     @property
     @once
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the actuators, then those of the rotor-bearing."""
+        """Parameters of the actuators, then the parameters of the rotor bearing."""
         return (*self.actuators.parameters, *self.bearing.parameters)
 
     @property
     def exchangeable(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of parameters that may be exchanged: the real poles of the actuators."""
+        """Pairs of exchangeable parameters: the two real poles of each actuator."""
         return self.actuators.exchangeable
 
     @property
     def forgotten_states(self) -> tuple[int, ...]:
-        """States of the delays, and of actuators that no output shows: they forget their start within milliseconds."""
+        """States of delays and of unmeasured actuators: their initial values decay within milliseconds."""
         n_a = 4
         if self.bearing.pade_order is None:  # see `matrices`
             return tuple(range(n_a, 2 * n_a) if self._explains_u else range(n_a))
@@ -333,14 +333,14 @@ their phase is off by less than 1e-4 rad for delays below 0.8 ms, that of order 
 
 
 def pade_order_of(structure: Any) -> int:
-    """Return the order of the delays of a rotor bearing or plant; `EXACT_AS_PADE` where they are exact."""
+    """Return the Padé order of a rotor bearing or plant; `EXACT_AS_PADE` where its delays are exact."""
     bearing = structure.bearing if isinstance(structure, Plant) else structure
     order = bearing.pade_order if isinstance(bearing, RotorBearing) else None
     return EXACT_AS_PADE if order is None else order
 
 
 def exact_delays(structure: Any) -> tuple[RotorBearing | Plant, list[int]] | None:
-    """Return a rotor bearing or plant with exact delays in place of Pade filters, and where its states are now.
+    """Return a rotor bearing or plant with exact delays instead of Padé filters, and the new place of each state.
 
     None for other structures, and where delays are exact already.
     """

@@ -1,4 +1,4 @@
-"""Structure of a closed loop: a plant with unknown parameters, and a controller."""
+"""Structure of a closed loop: a plant with unknown parameters and a controller, continuous or sampled."""
 
 from __future__ import annotations
 
@@ -29,11 +29,9 @@ from gbid.structure.linear import (
 from gbid.structure.models import LinearModel
 from gbid.structure.parameter import Parameter, Values, set_fields
 
-# ---- Matrices of a controller as symbols: continuous, or sampled with its computation time.
-
 
 def law_of(controller: LinearModel | Structure, gains: ca.SX, pade_order: int) -> ControlLaw:
-    """Return the matrices of a controller.
+    """Return the state-space matrices of a controller.
 
     Parameters
     ----------
@@ -59,7 +57,7 @@ def law_of(controller: LinearModel | Structure, gains: ca.SX, pade_order: int) -
 
 
 def tustin(law: ControlLaw, sample_time: float) -> ControlLaw:
-    """Return a controller sampled by the trapezoidal rule, as a program runs it.
+    """Return a controller sampled by the trapezoidal rule, as a control program runs it.
 
     With ``M = (I - h A / 2)^-1`` the matrices are ``2 M - I``, ``h M B``, ``C M`` and ``D + h C M B / 2``.
     """
@@ -71,7 +69,7 @@ def tustin(law: ControlLaw, sample_time: float) -> ControlLaw:
 
 
 def computed_later(law: ControlLaw, samples: int) -> ControlLaw:
-    """Return a sampled controller whose output acts some samples later; each sample adds a state for each output."""
+    """Return a sampled controller with a delay of some samples; each sample adds a state for each output."""
     for _ in range(samples):
         n, n_r = law.A.shape[0], law.C.shape[0]
         law = ControlLaw(
@@ -93,7 +91,7 @@ Injection = Literal["plant input", "set point"]
 
 @dataclass(frozen=True, init=False)
 class ClosedLoop(Brief):
-    """Closed loop of a structure and a controller: from what is injected to what is recorded.
+    """Closed loop of a structure and a controller: from the injected signals to the recorded ones.
 
     A loop is a structure like any other: `gbid.fit` estimates the parameters of the plant from recordings that were
     made in closed loop. With ``focus="prediction"`` the predictor knows that the controller reacts to measured noise
@@ -208,19 +206,19 @@ class ClosedLoop(Brief):
 
     @property
     def gains(self) -> tuple[Parameter, ...]:
-        """Gains of a controller that is a structure, under their names in the loop."""
+        """Parameters of the controller, when it is a structure, under their names in the loop."""
         if isinstance(self.controller, LinearModel):
             return ()
         return tuple(replace(gain, name=PREFIX + gain.name) for gain in self.controller.parameters)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the plant, then the gains."""
+        """Parameters of the plant, then the parameters of the controller."""
         return (*self.structure.parameters, *self.gains)
 
     @property
     def forgotten_states(self) -> tuple[int, ...]:
-        """States that begin at rest: those of delays, and what acts through actuators that no output shows.
+        """States that start at rest: of delays, of hidden actuators, and of a fast controller behind hidden actuators.
 
         They forget their start within milliseconds, so that noisy data do not tell it.
         """
@@ -234,7 +232,7 @@ class ClosedLoop(Brief):
         return (*of_plant, *range(m.n_states, n), *unseen)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return the matrices of a continuous loop; of a sampled one its plant, and its controller as "feedback"."""
+        """Return the matrices of a continuous loop; for a sampled loop the plant, and the controller as "feedback"."""
         plant, law = self._plant(p), self._law(p)
         set_point = self.injected == "set point"
         drive, feed = plant.B, plant.D
@@ -253,7 +251,7 @@ class ClosedLoop(Brief):
         }
 
     def controller_model(self, gains: Mapping[str, float] | None = None) -> LinearModel:
-        """Return the controller as it acts: sampled, with its computation time, and with Padé filters for delays.
+        """Return the controller as it runs: sampled, with computation time, and with Padé filters for delays.
 
         Parameters
         ----------
@@ -291,7 +289,7 @@ class ClosedLoop(Brief):
 
     @property
     def _memory(self) -> int:
-        """Samples in the longest exact delay of a sampled loop, rounded up."""
+        """Number of samples in the longest exact delay of a sampled loop, rounded up."""
         return 0 if self.sample_time is None else int(np.ceil(self._longest_delay / self.sample_time - 1e-9))
 
     def _law(self, p: Values) -> ControlLaw:
@@ -304,7 +302,7 @@ class ClosedLoop(Brief):
 
 
 class LoopKind(LinearKind):
-    """Closed loop: a linear structure around a plant."""
+    """Answers of a closed loop to a fit; see `Kind`."""
 
     def __init__(self, structure: ClosedLoop) -> None:
         super().__init__(structure)
@@ -316,7 +314,7 @@ kind_of.register(ClosedLoop, LoopKind)
 
 
 def _forgets(law: LinearModel) -> bool:
-    """Return whether all poles decay to 2 % within a tenth of a second; an integrator does not."""
+    """Return whether all poles decay to 2 % within a tenth of a second; false for an integrator."""
     poles = np.linalg.eigvals(law.A)
     rates = poles.real if law.dt is None else np.log(np.maximum(np.abs(poles), 1e-300)) / law.dt
     return bool(np.all(rates < -_SLOWEST))

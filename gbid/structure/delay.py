@@ -1,4 +1,4 @@
-"""Time delay as a rational all-pass filter in state space."""
+"""Padé approximation of a time delay: a rational all-pass filter in state space."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
 
 
 def _unit_ladder(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return the matrices of the approximation of a unit delay.
+    """Return the state-space matrices of the Padé approximation of a delay of one.
 
     The ladder has a "current" i and a "voltage" v = tanh(s/2) i. Its input is w = i + v, its output is i - v. The
     odd-numbered states sum to i, the even-numbered ones to v. The side of the last element is computed from the input w
@@ -81,11 +81,8 @@ def _unit_ladder(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]
     return gain[:, None] * A, (gain * b)[:, None], c[None, :], sign
 
 
-# ---- Delayed inputs of a model or structure replaced by filters.
-
-
 def with_filters(plant: LoopParts, B_delayed: Any, delays: Mapping[int, Any], order: int) -> LoopParts:
-    """Return a plant whose delayed inputs pass Pade filters; casadi.SX or arrays.
+    """Return a plant with Padé filters at its delayed inputs; casadi.SX or arrays.
 
     Parameters
     ----------
@@ -119,7 +116,7 @@ def with_filters(plant: LoopParts, B_delayed: Any, delays: Mapping[int, Any], or
 
 
 def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
-    """Return a model whose exact input delays are replaced by Pade approximations, for eigenvalues and control loops.
+    """Return a model with Padé approximations of its exact input delays, for eigenvalues and control loops.
 
     Parameters
     ----------
@@ -160,7 +157,7 @@ def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
 
 
 def pade_matrices(m: Matrices, order: int) -> Matrices:
-    """Return the matrices without exact delays: the signal of each delayed input passes a Pade filter.
+    """Return the matrices with a Padé filter at each delayed input, without exact delays.
 
     In a loop the delayed signal is not known in advance, so the delay must be a part of the state.
 

@@ -1,4 +1,4 @@
-"""Kinds of structures: linear, nonlinear, scheduled, a closed loop; what a fit asks of each."""
+"""Kinds of structures (linear, nonlinear, scheduled, closed loop), and what a fit needs from each kind."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Names = tuple[str, ...]
 
 
 class Anatomy(NamedTuple):
-    """Sizes of a structure, and the names of the parameters that act in its parts.
+    """Sizes of a structure, and the parameter names of each part.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Anatomy(NamedTuple):
 
 
 class Kind(ABC):
-    """Structure of one kind, and its answers to a fit; made by `kind_of`.
+    """Structure of one kind with the methods that a fit needs; `kind_of` makes it.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Kind(ABC):
 
     @abstractmethod
     def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
-        """Return sizes, and the parameters that act in each part of the structure.
+        """Return the sizes of the structure, and the parameters of each part.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Kind(ABC):
     def model(
         self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()
     ) -> LinearModel | NonlinearModel:
-        """Return the model for given parameter values; a nonlinear one with one step of its integrator in a sample."""
+        """Return the model for given parameter values; a nonlinear model has one integrator step in a sample."""
 
     @abstractmethod
     def without_inputs(self) -> AnyStructure:
@@ -93,7 +93,7 @@ class Kind(ABC):
 
     @abstractmethod
     def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
-        """Return the structure with these of its outputs, by new names; None where its equations need all of them."""
+        """Return the structure with some of its outputs, under new names; None where the equations need all."""
 
 
 class LinearKind(Kind):
@@ -121,7 +121,7 @@ class LinearKind(Kind):
         return LinearStructure(full.name, full.parameters, matrices, (), full.outputs, intersample=full.intersample)
 
     def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
-        """Return the structure with these outputs; None for a loop that is closed in samples; see `Kind`."""
+        """Return the structure with some of its outputs; None for a sampled closed loop; see `Kind`."""
         full, (p, m) = self._structure, symbolic_matrices(self._structure)
         if m.feedback is not None:
             return None
@@ -158,7 +158,7 @@ class NonlinearKind(Kind):
         return nonlinear_model(self._structure, values, inputs, outputs)
 
     def without_inputs(self) -> AnyStructure:
-        """Return the structure with inputs of zero; see `Kind`."""
+        """Return the structure with all inputs zero; see `Kind`."""
         full, rest = self._structure, ca.SX.zeros(len(self._structure.inputs))
         return replace(
             full,
@@ -169,7 +169,7 @@ class NonlinearKind(Kind):
         )
 
     def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
-        """Return the structure with these outputs; see `Kind`."""
+        """Return the structure with some of its outputs; see `Kind`."""
         full, e = self._structure, symbolic_equations(self._structure)
         y, K = ca.Function("y", [e.x, e.u, e.p], [e.y[kept]]), ca.Function("K", [e.p], [e.K[:, kept]])
         return replace(
@@ -181,13 +181,13 @@ class NonlinearKind(Kind):
 
 
 class ScheduledKind(Kind):
-    """Structure whose parameters follow signals of the recording."""
+    """Structure whose parameters are polynomials in signals of the recording."""
 
     def __init__(self, structure: ScheduledStructure) -> None:
         self._structure = self.scheduled = self.plant = structure
 
     def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
-        """Return the anatomy with the coefficients in place of the parameters that are surfaces; see `Kind`."""
+        """Return the anatomy, with coefficients in place of scheduled parameters; see `Kind`."""
         structure, base = self._structure, kind_of(self._structure.base).anatomy(driven, moving)
 
         def renamed(names: frozenset[str]) -> frozenset[str]:
@@ -202,18 +202,18 @@ class ScheduledKind(Kind):
         )
 
     def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> LinearModel:
-        """Return the base in the middle of the range, where only the first coefficients count; see `Kind`."""
+        """Return the base model in the middle of the range, from the first coefficient of each surface; see `Kind`."""
         structure = self._structure
         first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
         middle = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
         return evaluate(structure.base, middle, inputs, outputs)
 
     def without_inputs(self) -> AnyStructure:
-        """Return the structure itself, which needs its inputs; see `Kind`."""
+        """Return the structure unchanged: a scheduled structure needs its inputs; see `Kind`."""
         return self._structure
 
     def with_outputs(self, kept: list[int], names: Names) -> AnyStructure | None:
-        """Return the structure on a base with these outputs; see `Kind`."""
+        """Return the structure with some outputs of its base; see `Kind`."""
         base = kind_of(self._structure.base).with_outputs(kept, names)
         return base and replace(self._structure, base=base)  # type: ignore[arg-type]  # linear, as its base
 
@@ -241,7 +241,7 @@ def _linear_anatomy(structure: Structure, driven: Sequence[int] | None, moving: 
 
 @singledispatch
 def kind_of(structure: Any) -> Kind:
-    """Return the kind of a structure, with its answers to a fit."""
+    """Return the kind of a structure, with the methods that a fit needs."""
     return LinearKind(structure)
 
 
@@ -250,7 +250,7 @@ kind_of.register(ScheduledStructure, ScheduledKind)
 
 
 def _stacked(structure: Structure | NonlinearStructure, values: Any) -> Any:
-    """Return parameters by name, symbols or numbers, as one column in the order of a structure."""
+    """Return parameter values (symbols or numbers) as one column, in the order of the structure."""
     return ca.vertcat(*(values[q.name] for q in structure.parameters))
 
 
@@ -262,17 +262,17 @@ def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
     return frozenset(symbol.name() for symbol in ca.symvar(ca.veccat(*parts)))
 
 
-# ---- Rotor bearing whose film stiffens, as a nonlinear structure.
+# ---- Rotor bearing with a stiffening film, as a nonlinear structure.
 
 
 def equations_of(structure: AnyStructure) -> AnyStructure:
-    """Return the equations of a structure for a fit: nonlinear ones for a bearing whose film stiffens."""
+    """Return the equations of a structure for a fit: nonlinear ones for a bearing with a stiffening film."""
     nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
     return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
 
 
 def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
-    """Return the equations of a rotor bearing whose film stiffens.
+    """Return the nonlinear equations of a rotor bearing with a stiffening film.
 
     The linear part is that of `RotorBearing.matrices`, with its delays as filters or exact. The film adds
     ``s |p|^2 K p`` to the acceleration.

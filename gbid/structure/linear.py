@@ -1,4 +1,4 @@
-"""Linear model structures: symbolic state-space matrices as functions of named parameters."""
+"""Linear model structures: symbolic state-space matrices as functions of parameters, and feedback of a controller."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gbid.discretise.exact import Exponentials, delayed_taps, discretise
 from gbid.structure.models import LinearModel
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 
-# ---- Closed loop of a plant and a controller whose state-space matrices are symbols, numbers or duals.
+# ---- Feedback of a controller, with matrices of symbols, numbers or duals.
 
 
 class LoopParts(NamedTuple):
@@ -38,7 +38,7 @@ class LoopParts(NamedTuple):
 
 
 class ControlLaw(NamedTuple):
-    """Controller ``z' = A z + B s``, ``r = C z + D s`` of measured outputs s, as casadi.SX, arrays or `Dual`.
+    """Controller ``z' = A z + B s``, ``r = C z + D s`` with measured outputs s, as casadi.SX, arrays or `Dual`.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ControlLaw(NamedTuple):
 
 
 class HeldFeedback(NamedTuple):
-    """Sampled controller in the loop of a continuous plant, which holds its output between samples.
+    """Sampled controller in feedback with a continuous plant; its output is held between samples.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class HeldFeedback(NamedTuple):
 
     @property
     def n_states(self) -> int:
-        """Number of states of the controller, with those of the memory."""
+        """Number of states of the controller, including its memory of past inputs."""
         return int(self.law.A.shape[0]) + self.memory * int(self.law.drive.shape[1])
 
     def refuse_other_data(self, name: str, holds: Sequence[str], sample_time: float) -> None:
-        """Refuse data that the controller of a structure with this name cannot have run with.
+        """Refuse data with a sample time unlike the controller's, or with inputs that are not held.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class HeldFeedback(NamedTuple):
     def close(
         self, plant: LoopParts, law: ControlLaw, A: Any, n_injected: int, whole: Exponentials | None = None
     ) -> LoopParts:
-        """Return the loop of a plant with held inputs and this controller, from sample to sample.
+        """Return the discrete-time loop of a plant with held inputs and this controller.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class HeldFeedback(NamedTuple):
 
 
 def _equal_delays(delay: Any) -> list[tuple[list[int], Any]]:
-    """Return the inputs with each delay, (n_r, 1) array or Dual: equal ones need one matrix exponential."""
+    """Return the inputs grouped by delay, from (n_r, 1): equal delays need one matrix exponential."""
     groups: dict[bytes | float, tuple[list[int], Any]] = {}
     for i in range(delay.shape[0]):
         one = delay.rows([i]) if isinstance(delay, Dual) else float(delay[i, 0])
@@ -172,7 +172,7 @@ def _equal_delays(delay: Any) -> list[tuple[list[int], Any]]:
 
 
 def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set_point: bool) -> LoopParts:
-    r"""Return the loop of a plant and a controller, with the states of the plant before those of the controller.
+    r"""Return the closed loop of a plant and a controller; states of the plant come first.
 
     The controller measures the outputs with their errors, so that the errors e drive it, too:
 
@@ -210,7 +210,7 @@ def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set
 
 
 def constant_like(kind: Any, matrix: FloatArray) -> Any:
-    """Return a constant matrix as one that multiplies casadi.SX, or arrays and duals."""
+    """Return a constant matrix in the type of a factor: casadi.DM for casadi.SX, else an array."""
     return ca.sparsify(ca.DM(matrix)) if isinstance(kind, ca.SX) else matrix
 
 
@@ -222,7 +222,7 @@ _SYMBOLS = (
 
 
 class Matrices(NamedTuple):
-    """State-space matrices as casadi.SX.
+    """State-space matrices of a structure as casadi.SX.
 
     ``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``. Without exact delays `delay`
     is empty and `B_delayed` has no entries. ``x(0) = x0``; without a stated initial state `x0` is empty.
@@ -257,13 +257,13 @@ class Matrices(NamedTuple):
 
     @property
     def n_states(self) -> int:
-        """Number of states, with those of a controller."""
+        """Number of states, including the controller's."""
         return int(self.A.shape[0]) + (self.feedback.n_states if self.feedback else 0)
 
 
 @runtime_checkable
 class Structure(Protocol):
-    """Model structure as a fit needs it: equations and parameters, independent of any solver.
+    """Protocol of a model structure: equations and parameters for a fit, independent of any solver.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class Structure(Protocol):
 
 @dataclass(frozen=True)
 class OnBase:
-    """Structure with the inputs, outputs and inter-sample behaviour of the one that it stands on.
+    """Structure that takes inputs, outputs and inter-sample behaviour from a base structure.
 
     Attributes
     ----------
@@ -476,7 +476,7 @@ def evaluate(
 
 @once
 def model_function(structure: Structure) -> Callable[..., LinearModel]:
-    """Return a function from values to the numeric model of a structure; its symbolic matrices are made once."""
+    """Return a function from parameter values to the numeric model; the symbolic matrices are computed once."""
     p, symbolic = symbolic_matrices(structure)
     feedback = symbolic.feedback
     law = tuple(feedback.law) if feedback else ()
@@ -505,7 +505,7 @@ def model_function(structure: Structure) -> Callable[..., LinearModel]:
 
 
 def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> LoopParts:
-    """Return the loop of a plant in continuous time and a sampled controller, from sample to sample."""
+    """Return the discrete-time loop of a continuous plant and a sampled controller."""
     n_w, n_r = plant.B.shape[1], law.drive.shape[1]
     held = discretise(plant.A, np.hstack([plant.B, law.drive, plant.K]), feedback.sample_time)
     B, drive, K = np.split(held.G_now, [n_w, n_w + n_r], axis=1)
@@ -513,13 +513,13 @@ def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> Lo
 
 
 def in_one_line(error: BaseException) -> str:
-    """Return type and text of an exception in the code of a user; of a text with several lines, the last line."""
+    """Return type and text of an exception in a user's code, on one line; of several lines the last."""
     lines = str(error).split("\n")
     return f"{type(error).__name__}: {lines[-1].strip()}"
 
 
 def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
-    """Return nested lists, arrays, numbers or CasADi matrices as SX; a flat list is a row of C, else a column."""
+    """Return lists, arrays, numbers or CasADi matrices as SX; a flat list is a row for C, else a column."""
     try:
         if isinstance(value, ca.SX | ca.DM):
             matrix = ca.SX(value)

@@ -24,7 +24,7 @@ PositiveNumber = Annotated[Positive, Allowed("a positive number")]
 
 @dataclass(frozen=True)
 class RigidRotor(Brief):
-    r"""Rigid rotor in the field of magnetic bearings: from the currents of the axes to their positions.
+    r"""Rigid rotor in the field of magnetic bearings: from the coil currents of the axes to the positions.
 
     The force of an axis is ``k_s z + k_i i`` with its position z and its current i (Schweitzer and Maslen, Magnetic
     Bearings, 2009, ch. 4). One axis and two axes (x and y of one bearing) move a mass. Four axes (x and y of two
@@ -88,7 +88,7 @@ class RigidRotor(Brief):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness of the field and force per current of each axis."""
+        """Stiffness of the field, and force per current, of each axis."""
         stiffness = [Parameter(f"k_s_{axis}", self.k_s, unit="N/m") for axis in self.axes]
         return (*stiffness, *(Parameter(f"k_i_{axis}", self.k_i, unit="N/A") for axis in self.axes))
 
@@ -116,7 +116,7 @@ class RigidRotor(Brief):
 
 @dataclass(frozen=True)
 class MagneticBearing(Brief):
-    r"""Rotor in magnetic bearings with amplifiers and sensors: from the references of the currents to the positions.
+    r"""Rotor in magnetic bearings with amplifiers and sensors: from current references to positions.
 
     An amplifier is a delay and a lag of first order, :math:`i = e^{-s \tau} / (1 + s / \omega_a)\, i_{ref}`, a sensor a
     lag :math:`1 / (1 + s / \omega_s)`. All axes have equal amplifiers and equal sensors. The states are those of the
@@ -171,7 +171,7 @@ class MagneticBearing(Brief):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the rotor, then those of amplifiers and sensors."""
+        """Parameters of the rotor, then the parameters of amplifiers and sensors."""
         corner, delay = 2 * pi * self.amplifier_hz, self.longest_delay_s
         chain = [
             Parameter("omega_amplifier", corner, lower=corner / 100, upper=100 * corner, unit="rad/s"),
@@ -182,7 +182,7 @@ class MagneticBearing(Brief):
         return (*self.rotor.parameters, *chain)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return A, B, C, and the exact delay of the references."""
+        """Return A, B, C, and the exact delay of the current references."""
         rotor = {letter: ca.SX(matrix) for letter, matrix in self.rotor.matrices(p).items()}
         (n, n_u), n_y = rotor["B"].shape, rotor["C"].shape[0]
         omega = p["omega_amplifier"]

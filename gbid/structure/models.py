@@ -1,4 +1,4 @@
-"""Linear state-space model with numbers: simulation, frequency response, modes, exact discretisation."""
+"""Linear state-space models with numbers: simulation, frequency response, modes, exact discretisation."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from gbid.discretise.exact import (
 
 
 def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
-    """Return signals as finite numbers, (n_samples, count); one channel may come as (n_samples,).
+    """Return signals as a finite array (n_samples, count); a single channel may be given as (n_samples,).
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples
 
 
 def check_sample_time(model: str, sample_time: float | None) -> float:
-    """Return a sample time; refuse one that is missing or no positive number."""
+    """Return a sample time; refuse a missing or non-positive value."""
     if sample_time is None:
         raise UsageError(f"model {model!r} is continuous: give the sample time [s]")
     if not (np.isfinite(sample_time) and sample_time > 0):
@@ -71,7 +71,7 @@ def check_sample_time(model: str, sample_time: float | None) -> float:
 
 
 def check_clock(model: str, clock: npt.ArrayLike | None, n_samples: int) -> float | FloatArray:
-    """Return a sample time, also that of even times, or the irregular times of the samples (n_samples,)."""
+    """Return the sample time, also of evenly spaced times; for irregular times the times (n_samples,)."""
     if clock is None or np.ndim(clock) == 0:
         return check_sample_time(model, clock)  # type: ignore[arg-type]  # a number or None
     time = np.asarray(clock, float)
@@ -81,11 +81,8 @@ def check_clock(model: str, clock: npt.ArrayLike | None, n_samples: int) -> floa
     return float(steps[0]) if len(steps) == 1 else time
 
 
-# ---- What every model answers, linear or not: simulations and predictions of sampled signals.
-
-
 class SampledSignals(ABC):
-    """Responses of a model, linear or not, to sampled signals."""
+    """Base of models, linear or not: simulation and prediction with sampled signals."""
 
     name: str
     input_names: tuple[str, ...]
@@ -169,7 +166,7 @@ class SampledSignals(ABC):
         return self._response(u, y, sample_time, initial_state, self.holds(intersample))
 
     def holds(self, intersample: str | Sequence[str] | None = None) -> tuple[Hold, ...]:
-        """Return the inter-sample behaviour of each input: the one given, else the model's own, else zero-order hold.
+        """Return the inter-sample behaviour of each input: the argument, else the model's, else zero-order hold.
 
         Raises
         ------
@@ -188,10 +185,7 @@ class SampledSignals(ABC):
         initial_state: Any,
         holds: tuple[Hold, ...],
     ) -> FloatArray:
-        """Return the outputs of a simulation, or with measured outputs their one-step-ahead predictions."""
-
-
-# ---- Linear model with numeric matrices: the result of a fit and the plant of a control loop.
+        """Return simulated outputs, or one-step-ahead predictions when measured outputs are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,11 +305,11 @@ class LinearModel(SampledSignals, Brief, Pictured):
         return bool((eigenvalues.real < 0).all() if self.dt is None else (np.abs(eigenvalues) < 1).all())
 
     def linearise(self) -> LinearModel:
-        """Return the model itself, as `gbid.structure.NonlinearModel.linearise` returns one at its working point."""
+        """Return this model, so that linear and nonlinear models are linearised in one way."""
         return self
 
     def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> LinearModel:
-        """Return a model with an integrator at the outputs with these numbers, `outputs`.
+        """Return a model with an integrator at some of its outputs; `outputs` are their numbers.
 
         Each integrator is one more state: an offset of its output, which the prediction error drives with its gain in
         `gains`.
@@ -461,7 +455,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
     def _irregular_response(
         self, u: FloatArray, y: FloatArray | None, time: FloatArray, x: FloatArray, holds: tuple[Hold, ...]
     ) -> FloatArray:
-        """Return the outputs at irregular times from the initial state `x`; each interval has its own matrices."""
+        """Return the outputs at irregular times from the initial state `x`, with matrices for each interval."""
         if self.delay is not None:
             raise UsageError(f"model {self.name!r} has exact delays, which irregular times do not take; see with_pade")
         steps, A = distinct_steps(time), np.array(self.A)
@@ -479,7 +473,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
         return np.asarray(states @ self.C.T + u @ self.D.T)
 
     def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
-        """Return the effect of the delayed inputs on the state; before the record they have their first value."""
+        """Return the effect of delayed inputs on the state; before the record, inputs have their first value."""
         assert self.delay is not None
         assert self.B_delayed is not None
         forcing = np.zeros((len(u), len(self.A)))
@@ -575,7 +569,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
             )
 
 
-# ---- Frequency grid adapted to the poles of a model.
+# ---- Frequency grid with more points near the poles of a model.
 
 _INTEGRATOR = 1e-9  # rate of a pole that is a zero with rounding, over that of the fastest one
 
@@ -615,7 +609,7 @@ _FINE, _MOST_POINTS, _CLOSEST = 0.5, 30_000, 1e-9
 
 
 def phase_in_degrees(model: LinearModel, frequency_hz: npt.ArrayLike) -> FloatArray:
-    """Return the phase of a frequency response without jumps, counted from the poles, of its shape [degrees].
+    """Return the phase of a frequency response without jumps [degrees], in the response's shape.
 
     Toward rest the phase is -90 degrees for each integrator of a channel. A negative gain there adds 180 degrees, or
     takes them if an unstable pole makes the sign: 1/s^3 begins at -270 degrees, 1/(s - 1) at -180. From there the phase

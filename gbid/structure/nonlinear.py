@@ -1,4 +1,4 @@
-"""Nonlinear model structure: differential equations of a user, as functions of named parameters."""
+"""Nonlinear structures and models: differential equations of a user as functions of parameters."""
 
 from __future__ import annotations
 
@@ -127,8 +127,6 @@ class NonlinearStructure:
         check_options(self, where)
 
 
-# ---- Equations of a nonlinear structure as CasADi expressions, checked.
-
 _JUMPS = {
     ca.OP_LT: "<",
     ca.OP_LE: "<=",
@@ -147,7 +145,7 @@ _JUMPS = {
 
 
 class Equations(NamedTuple):
-    """Equations of a nonlinear structure as casadi.SX.
+    """Equations of a nonlinear structure as casadi.SX expressions.
 
     Attributes
     ----------
@@ -174,13 +172,13 @@ class Equations(NamedTuple):
 
     @property
     def delayed(self) -> tuple[int, ...]:
-        """Inputs with an exact delay."""
+        """Inputs that have an exact delay."""
         return tuple(self.delay.sparsity().row())
 
 
 @once
 def symbolic_equations(structure: NonlinearStructure) -> Equations:
-    """Return the equations of a structure.
+    """Return the equations of a structure as CasADi expressions, checked.
 
     Parameters
     ----------
@@ -247,7 +245,7 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
 
 
 def jumps_in(equations: Equations) -> tuple[str, ...]:
-    """Return the operations in dynamics and output that have a jump or a kink, by name."""
+    """Return the names of operations with a jump or a kink in dynamics and output."""
     function = ca.Function("f", list(equations[:3]), [equations.dx, equations.y])
     met = {function.instruction_id(k) for k in range(function.n_instructions())}
     return tuple(name for operation, name in _JUMPS.items() if operation in met)
@@ -284,13 +282,11 @@ def _expression(name: str, what: str, value: Callable[[], Any]) -> ca.SX:
         ) from None
 
 
-# ---- Several steps of an integrator in a sample, and how many a structure needs to begin with.
-
 _RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
 
 
 def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float) -> int:
-    """Return the number of integrator steps in a sample: stated by the structure, or from its fastest pole.
+    """Return the first number of integrator steps in a sample: stated by the structure, or from the fastest pole.
 
     With ``steps="auto"`` the fastest pole at rest turns by a radian at most in one step.
 
@@ -334,7 +330,7 @@ def over_a_sample(
     sample_time: ca.SX,
     steps: int,
 ) -> ca.SX:
-    """Return the state after a sample of several steps of an integrator; arguments as for `one_step`, `step_inputs`."""
+    """Return the state after one sample in several integrator steps; arguments as for `one_step`, `step_inputs`."""
     at, a, b = (ca.SX.sym(name, n) for name, n in (("x", x.numel()), ("a", u.shape[0]), ("b", u.shape[0])))
     length = ca.SX.sym("h")
     sub = ca.Function("sub", [at, a, b, length], [one_step(method, f, at, (a, b), length)], {"allow_free": True})
@@ -343,14 +339,14 @@ def over_a_sample(
     return x
 
 
-# ---- Nonlinear model: equations at given parameters, with simulation and linearisation.
+# ---- Nonlinear model with numeric parameters: simulation and linearisation.
 
 _AT_ONCE = 4096  # samples of a simulation that CasADi holds at once
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearModel(SampledSignals, Brief):
-    """Nonlinear model ``xd = f(x, u) + K e``, ``y = h(x, u) + e`` with numbers for its parameters.
+    """Nonlinear model ``xd = f(x, u) + K e``, ``y = h(x, u) + e`` with numeric parameters.
 
     Attributes
     ----------
@@ -409,11 +405,11 @@ class NonlinearModel(SampledSignals, Brief):
 
     @cached_property
     def function(self) -> ca.Function:
-        """``casadi.Function`` of ``(x, u, p)`` with the derivatives of the states and the outputs."""
+        """``casadi.Function`` of ``(x, u, p)`` that returns state derivatives and outputs."""
         return ca.Function.deserialize(self.equations)
 
     def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
-        """Return a model with an integrator at the outputs with these numbers, `outputs`.
+        """Return a model with an integrator at some of its outputs; `outputs` are their numbers.
 
         Each integrator is one more state: an offset of its output, which the prediction error drives with its gain in
         `gains`.
@@ -512,7 +508,7 @@ class NonlinearModel(SampledSignals, Brief):
         initial_state: Any,
         holds: tuple[Hold, ...],
     ) -> FloatArray:
-        """Return the outputs of `step_function`, some samples at a time: more would take memory."""
+        """Return the outputs of `step_function`, computed in batches of samples to save memory."""
         (n, n_u), clock = u.shape, check_clock(self.name, sample_time, len(u))
         if isinstance(clock, np.ndarray) and self.delay is not None:
             raise UsageError(f"model {self.name!r} has exact delays, which irregular times do not take")
@@ -545,7 +541,7 @@ class NonlinearModel(SampledSignals, Brief):
         return {}
 
     def step_function(self, holds: Sequence[Hold], *, feeds_back: bool = False) -> ca.Function:
-        """Return the discretised equations as a ``casadi.Function``: the model over one sample.
+        """Return the model over one sample (discretised equations) as a ``casadi.Function``.
 
         Parameters
         ----------
@@ -586,9 +582,6 @@ class NonlinearModel(SampledSignals, Brief):
 
 def _sx(*sizes: int) -> list[ca.SX]:
     return [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
-
-
-# ---- Nonlinear model of a structure at given values of its parameters.
 
 
 def nonlinear_model(

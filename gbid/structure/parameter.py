@@ -1,4 +1,4 @@
-"""Parameters of a structure: name, start value, bounds, unit."""
+"""Parameters of a structure (name, start value, bounds, unit), and caches of functions of a structure."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Parameter:
             )
 
     def renamed(self, name: str) -> Parameter:
-        """Return a copy under another name, such as that of one recording's own value, ``k_xx[run 1]``.
+        """Return a copy under another name, such as ``k_xx[run 1]`` for the value of one recording.
 
         Parameters
         ----------
@@ -90,12 +90,12 @@ class Values(dict[str, Any]):
 
     @classmethod
     def of(cls, parameters: tuple[Parameter, ...], values: Any) -> Values:
-        """Return the values of parameters, taken from a vector of numbers or symbols."""
+        """Return parameter values by name, from a vector of numbers or symbols."""
         return cls({parameter.name: values[i] for i, parameter in enumerate(parameters)})
 
 
 def set_fields(made: Any, values: Mapping[str, Any]) -> None:
-    """Set the fields of a frozen dataclass that has an `__init__`, such as to take lists for tuples.
+    """Set fields of a frozen dataclass in its `__init__`, for example to convert lists to tuples.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def set_fields(made: Any, values: Mapping[str, Any]) -> None:
 
 
 def as_vector(structure: Any, values: Mapping[str, float]) -> FloatArray:
-    """Return the values of all parameters of a structure in its order, (n_parameters,).
+    """Return the values of all parameters as a vector in the order of the structure, (n_parameters,).
 
     Raises
     ------
@@ -123,7 +123,7 @@ def as_vector(structure: Any, values: Mapping[str, float]) -> FloatArray:
 
 
 def known_names(parameters: tuple[Parameter, ...], given: Iterable[str], what: str) -> None:
-    """Refuse names that are not parameters.
+    """Refuse names that are not parameters of a structure.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def known_names(parameters: tuple[Parameter, ...], given: Iterable[str], what: s
         raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; choose from {', '.join(names)}")
 
 
-# ---- Functions of a structure that are called once for all parts of a fit, and of a built-in one for all fits.
+# ---- Caches of functions of a structure.
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -146,7 +146,7 @@ _known: ContextVar[dict[tuple[Any, ...], tuple[Any, Any]] | None] = ContextVar("
 
 @contextmanager
 def asked_once() -> Iterator[None]:
-    """Return a context that caches symbolic matrices and equations: start, predictor and model need them in turn.
+    """Return a context that caches symbolic matrices and equations during one fit.
 
     It is that of one fit with what is stored of it, the outermost context. Functions of a user may return something
     else in the next one.
@@ -160,7 +160,7 @@ def asked_once() -> Iterator[None]:
 
 
 def once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Return a function of a structure, and of further values, that computes its result once within `asked_once`.
+    """Return a function of a structure whose results are cached within `asked_once`.
 
     A class with ``is_value = True`` says that equal structures have equal matrices: then the results last for all fits.
     """

@@ -1,4 +1,4 @@
-"""Terms of polynomials in scheduling variables (paper, Eq. 16)."""
+"""Scheduled structures: parameters as polynomials in scheduling variables (paper, Eq. 16)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Exponents = tuple[tuple[int, ...], ...]
 
 
 def exponents_of(order: int, n_variables: int = 2) -> Exponents:
-    """Return the powers of the scheduling variables up to a total order; for two in the order of `TERMS`."""
+    """Return the exponents of all terms up to a total order; for two variables in the order of `TERMS`."""
     if n_variables == 2:
         higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
         return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
@@ -41,7 +41,7 @@ def exponents_of(order: int, n_variables: int = 2) -> Exponents:
 
 
 def term_name(exponent: Sequence[int], scheduling: Sequence[str] = SCHEDULING) -> str:
-    """Return the name of a term: for a gas bearing as in `TERMS`, else as ``"current^2 gap"``."""
+    """Return the name of a term: as in `TERMS` for a gas bearing, else such as ``"current^2 gap"``."""
     if tuple(scheduling) == SCHEDULING:
         if tuple(exponent) in EXPONENTS:
             return TERMS[EXPONENTS.index((exponent[0], exponent[1]))]
@@ -51,16 +51,13 @@ def term_name(exponent: Sequence[int], scheduling: Sequence[str] = SCHEDULING) -
 
 
 def monomials(points: FloatArray, exponents: Sequence[Sequence[int]]) -> FloatArray:
-    """Return the terms ``P^i Omega^j ...`` of points (..., n_variables) in their own units, shape (..., n_terms)."""
+    """Return the terms ``P^i Omega^j ...`` at points (..., n_variables) in physical units, (..., n_terms)."""
     return np.stack([np.prod(points ** np.array(e), axis=-1) for e in exponents], axis=-1)
-
-
-# ---- Polynomials over the range of scheduling variables, as a fit uses and stores them.
 
 
 @dataclass(frozen=True)
 class Schedule:
-    r"""Terms of the surfaces of a fit, in variables from -1 to 1 over the range of the recordings.
+    r"""Terms of the surfaces of a fit, in variables scaled to -1 to 1 over the range of the recordings.
 
     The term of exponents (i, j) is :math:`\pi^i \omega^j` with
     :math:`\pi = (P - P_c) / P_h`: P_c is the centre of the range and P_h half its width. So the terms are of the order
@@ -97,7 +94,7 @@ class Schedule:
 
     @property
     def half(self) -> FloatArray:
-        """Half the width of the range of each variable, (n_variables,); one for a constant."""
+        """Half the width of the range of each variable, (n_variables,); 1 for a constant variable."""
         half = np.asarray((np.array(self.high, float) - np.array(self.low, float)) / 2, np.float64)
         return np.asarray(np.where(half > 0, half, 1.0))
 
@@ -111,7 +108,7 @@ class Schedule:
 
     @property
     def to_own_units(self) -> FloatArray:
-        """Matrix from the coefficients of a surface to those of terms in the units of the variables, (m, m).
+        """Matrix from scaled coefficients of a surface to coefficients in physical units, (m, m).
 
         ``(P - c)^i = sum_k comb(i, k) P^k (-c)^(i - k)``, a product over the variables. All lower terms are there.
         """
@@ -128,18 +125,18 @@ class Schedule:
 
 
 def coefficient_names(key: str, n_terms: int) -> list[str]:
-    """Return the names of the coefficients of a surface, in the paper's numbers: ``k_xx_0`` to ``k_xx_5``."""
+    """Return the names of the coefficients of a surface, numbered as in the paper: ``k_xx_0`` to ``k_xx_5``."""
     return [f"{key}_{i}" for i in range(n_terms)]
 
 
-# ---- Structure whose parameters are polynomials in signals of the recording, such as pressure and speed.
+# ---- Structure with parameters that are polynomials in signals of the recording.
 
 HIGHEST_ORDER = 3
 
 
 @dataclass(frozen=True)
 class ScheduledStructure(OnBase, Brief):
-    """Linear structure whose parameters follow signals of the recording; made by `gbid.scheduled`.
+    """Linear structure whose parameters are polynomials in signals of the recording; `gbid.scheduled` makes it.
 
     Attributes
     ----------
@@ -167,7 +164,7 @@ class ScheduledStructure(OnBase, Brief):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients of the surfaces, then the other parameters of the base.
+        """Coefficients of the surfaces, then the constant parameters of the base.
 
         The variables are scaled to -1 to 1 over the range of the recordings: a coefficient has the unit of its
         parameter.

@@ -1,4 +1,4 @@
-"""Structure of a user: loaded from a Python file, and as functions of CasADi for a programme of its own."""
+"""Structures of users: loading from a Python file, checks, and functions of CasADi."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
 
 
 def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
-    """Return the structure named as ``file.py:name``.
+    """Return the structure that a reference ``file.py:name`` names.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
 
 
 def not_a_model(loaded: AnyStructure | LinearModel, path: Path, name: str) -> AnyStructure:
-    """Return what a file gave; refuse a model with numbers with a UsageError."""
+    """Return a loaded structure; UsageError for a numeric model."""
     if isinstance(loaded, LinearModel):
         raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
     return loaded
 
 
 def load_structure_or_model(reference: str, folder: Path | None = None) -> AnyStructure | LinearModel:
-    """Return the structure or the model with numbers named as ``file.py:name``; see `load_structure`.
+    """Return the structure or numeric model that ``file.py:name`` names; see `load_structure`.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
 
 
 def python_file(reference: str, folder: Path | None = None) -> tuple[Path, str]:
-    """Return the existing file and the name of a reference ``file.py:name``; raises UsageError for any other."""
+    """Return the existing file and the name in a reference ``file.py:name``; else raise UsageError."""
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
         raise UsageError(f"structure {reference!r}: write it as file.py:name")
@@ -78,7 +78,7 @@ def python_file(reference: str, folder: Path | None = None) -> tuple[Path, str]:
 
 
 def execute_file(path: Path) -> ModuleType:
-    """Return the module of a Python file after its execution.
+    """Execute a Python file and return its module.
 
     The text of the file itself is compiled: a ``__pycache__`` beside it is neither read nor written.
 
@@ -98,7 +98,7 @@ def execute_file(path: Path) -> ModuleType:
 
 
 def structure_in(module: ModuleType, path: Path, name: str) -> AnyStructure | LinearModel:
-    """Return the structure or the model of a name in an executed file; raises as `load_structure_or_model`."""
+    """Return the named structure or model of an executed file; errors as for `load_structure_or_model`."""
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
     loaded = getattr(module, name)
@@ -108,7 +108,7 @@ def structure_in(module: ModuleType, path: Path, name: str) -> AnyStructure | Li
 
 
 def called(factory: Callable[..., Any], where: str, **options: Any) -> Any:
-    """Return what a function of a user returns; whatever it raises is a UsageError."""
+    """Return the result of a user's function; any exception becomes a UsageError."""
     try:
         return factory(**options)
     except (Exception, SystemExit) as error:
@@ -116,7 +116,7 @@ def called(factory: Callable[..., Any], where: str, **options: Any) -> Any:
 
 
 def checked(loaded: Any, name: str, where: str) -> AnyStructure:
-    """Return a structure after a check of the sizes of its equations; what is none is refused.
+    """Return a structure after a check of the sizes of its equations; refuse other objects.
 
     Raises
     ------
@@ -132,13 +132,13 @@ def checked(loaded: Any, name: str, where: str) -> AnyStructure:
     return loaded
 
 
-# ---- Functions of CasADi for a structure: continuous model, discretised model, one-step predictor.
+# ---- CasADi functions of a structure: continuous model, discretised model, one-step predictor.
 
 _HEADROOM = 2  # doublings of the matrix exponential beyond those at the given values: for four times faster poles
 
 
 class ModelFunctions(NamedTuple):
-    """Functions of a structure. Their arguments have names: ``f(x=..., u=..., p=...)``; what is left out is zero.
+    """CasADi functions of a structure, with named arguments ``f(x=..., u=..., p=...)``; a missing one is zero.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ def casadi_functions(
     intersample: str | Sequence[str] | None = None,
     steps: int | None = None,
 ) -> ModelFunctions:
-    """Return the functions of CasADi for a structure, linear or nonlinear, with its parameters as an argument.
+    """Return the CasADi functions of a linear or nonlinear structure, with the parameters as an argument.
 
     Parameters
     ----------

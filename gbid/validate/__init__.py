@@ -1,4 +1,4 @@
-"""Validation: fit percent, cross-validation and its summary, residual tests, nominal actuator.
+"""Validation: fit percent, cross-validation, residual tests, comparison of models, nominal actuator.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

@@ -36,7 +36,7 @@ _FALSE_ALARM = 0.05  # probability of at least one outlier when all entries are 
 
 @dataclass(frozen=True)
 class ActuatorOutlier:
-    """Outlier: a parameter of one model that differs much from the other models.
+    """Outlier among actuator models: one parameter differs much from the other models.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ActuatorOutlier:
 
     @property
     def reason(self) -> str:
-        """Text with parameter, value, median and deviation."""
+        """Description of the outlier: parameter, value, median and deviation."""
         unit = " rad/s" if self.kind == "pole" else ""
         return (
             f"{self.parameter} = {self.value:.4g}{unit}, median {self.typical:.4g}{unit}: "
@@ -71,7 +71,7 @@ class ActuatorOutlier:
 
 @dataclass(frozen=True, eq=False)
 class NominalActuator(Brief, Pictured):
-    """Most central of n actuator models with six parameters.
+    """Nominal actuator: the most central of n actuator models with six parameters.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class NominalActuator(Brief, Pictured):
         )
 
     def document(self) -> Row:
-        """Return the nominal actuator as plain values, with outliers and their reasons, for JSON."""
+        """Return the nominal actuator and the outliers with reasons as plain values, for JSON."""
         return {
             "model": self.name,
             "parameters": self.parameters,
@@ -133,7 +133,7 @@ class NominalActuator(Brief, Pictured):
         }
 
     def tables(self) -> list[Table]:
-        """Return the tables of poles and gains, and of the outliers where there are any."""
+        """Return the tables of poles, gains and (where found) outliers."""
         units = {p.name: p.unit for pair in (PiezoPair(), PiezoPair(poles="any")) for p in pair.parameters}
         first: tuple[Entry, ...] = (self.name, f"of {len(self.models)} models")
         rows: list[list[Entry]] = [
@@ -153,13 +153,13 @@ class NominalActuator(Brief, Pictured):
         return [chosen, outliers] if off else [chosen]
 
     def figures(self) -> list[Figure]:
-        """Return gains and poles of all models."""
+        """Return the figures of gains and poles of all models."""
         words = f"Gains and poles of {len(self.models)} actuator models; the nominal one is {self.name}"
         return [Figure("plot_actuator_parameters", f"{words}, {len(self.outliers)} values lie off", (self,))]
 
 
 def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = None) -> NominalActuator:
-    """Return the most central of many actuator models, with the outliers among them.
+    """Return the most central of many actuator models, and the outliers.
 
     Parameters
     ----------
@@ -264,20 +264,20 @@ def _one_fit(models: FitTable | Sequence[FitResult], fit: str | None) -> FitTabl
 
 
 def _robust_z(logs: FloatArray, std: FloatArray) -> FloatArray:
-    """Columns standardised by median and robust scale, at least the median standard deviation."""
+    """Return columns standardised by median and robust scale (at least the median standard deviation)."""
     deviation = logs - np.median(logs, axis=0)
     scale = _MAD * np.median(np.abs(deviation), axis=0)
     typical = [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in std.T]
     return np.asarray(deviation / np.maximum(np.maximum(scale, typical), 1e-9))
 
 
-# ---- Summaries of validation in CSV, nominal actuators in YAML; see docs/file-formats.md.
+# ---- CSV summary of a validation, and YAML file of a nominal actuator; see docs/file-formats.md.
 
 ACTUATORS_KIND = "actuators"
 
 
 def summary_csv_table(summary: ValidationSummary) -> Table:
-    """Return a table of mean and std of the fit percent, a row for each output: all pairs, then each point."""
+    """Return mean and std of the fit percent as a table with rows for outputs, overall and by operating point."""
     names = ("pressure_bar", "speed_rpm", "output", "pairs", "mean", "std", "infinity_norm", "unit")
     rows: list[list[Value]] = []
     every = PointSummary(math.nan, math.nan, summary.n_pairs, summary.mean, summary.std, summary.infinity_norm_max)
@@ -294,7 +294,7 @@ def summary_csv_table(summary: ValidationSummary) -> Table:
 def save_nominal_actuator(
     nominal: NominalActuator, path: str | Path, *, source: str = "", overwrite: bool = False
 ) -> None:
-    """Write a nominal actuator to a YAML file; its block ``actuators`` is that of a model file.
+    """Write a nominal actuator to a YAML file, with a block ``actuators`` as in model files.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""ModelComparison of several models on the same recordings: fit, information criterion, whiteness, side by side."""
+"""Comparison of models on the same recordings: fit percent, information criterion, whiteness."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Models = LinearModel | FitResult | Sequence[LinearModel | FitResult] | Mapping[s
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison(Tabled, Pictured):
-    """Models beside each other on the same recordings; `gbid.compare` makes it.
+    """Comparison of several models on the same recordings; `gbid.compare` makes it.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class ModelComparison(Tabled, Pictured):
         return brief(self, f"{len(self.models)} models on {', '.join(self.recordings)}", models=each)
 
     def figures(self) -> list[Figure]:
-        """Return the frequency responses of the models, one figure for those with the same channels."""
+        """Return the frequency responses of the models; models with equal channels share a figure."""
         groups: dict[tuple[tuple[str, ...], ...], dict[str, LinearModel | FitResult]] = {}
         for name, model in self.models.items():
             linear = model.linear_model if isinstance(model, FitResult) else model
@@ -75,7 +75,7 @@ class ModelComparison(Tabled, Pictured):
         return [Figure("plot_bode", f"Frequency responses of {', '.join(q)}", (q,)) for q in groups.values()]
 
     def table(self) -> Table:
-        """Return a row for each model and output, with the smallest fit percent of the recordings."""
+        """Return a table with a row for each model and output, with the smallest fit percent of all recordings."""
         columns = [Column(name) for name in ("model", "output", "states", "parameters")]
         columns += [Column(name, format=5) for name in ("fit [%]", "least fit [%]")]
         columns += [Column("AIC", format=7), Column("p white", format=2)]
@@ -103,7 +103,7 @@ def compare(
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
 ) -> ModelComparison:
-    """Return models beside each other on the same recordings, over the outputs that all of them have.
+    """Return a comparison of models on the same recordings, for the outputs that all models have.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def compare(
 def _simulated(
     name: str, model: LinearModel | FitResult, recording: Recording, signals: Sequence[Sequence[str]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the outputs of a recording and the errors of a model that is simulated on it, both (n_samples, n_y)."""
+    """Return measured outputs and simulation errors of a model on a recording, both (n_samples, n_y)."""
     u, y = (select(recording, each)[0] for each in signals)
     if isinstance(model, FitResult):
         refuse_scheduled(model)
@@ -200,7 +200,7 @@ def _named(models: Models) -> dict[str, LinearModel | FitResult]:
 def _signals(
     model: LinearModel | FitResult, models: Sequence[LinearModel | FitResult], kind: str, recording: Recording
 ) -> tuple[str, ...]:
-    """Return the signals of a fit; of a plain model the channels that it names, else the signals of the first fit."""
+    """Return the signals of a fit; for a plain model its channels, else the signals of the first fit."""
     if isinstance(model, FitResult):
         return tuple(getattr(model.options, kind))
     wanted = getattr(model, "input_names" if kind == "inputs" else "output_names")
@@ -216,13 +216,13 @@ def _signals(
 
 
 def _labels(recording: Recording, signal: str) -> list[tuple[str, str]]:
-    """Return the label of each channel of a signal, as in models, and its name in a recording."""
+    """Return for each channel of a signal its name in models and its name in a recording."""
     channels = recording.channels[signal]
     labels = [f"{signal}.{channel}" for channel in channels] if len(channels) > 1 else [signal]
     return list(zip(select(recording, (signal,))[1], labels, strict=True))
 
 
 def _freedom(model: LinearModel) -> int:
-    """Return the number of parameters that the response of a model without structure has."""
+    """Return the number of free parameters of the transfer function of a model without structure."""
     n, (n_y, n_u) = model.n_states, model.D.shape
     return int(n * (n_y + n_u) + (n_y * n_u if model.D.any() else 0))

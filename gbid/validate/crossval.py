@@ -26,12 +26,10 @@ from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData,
 _SHOWN_POINTS = 30  # largest number of operating points that have their own rows
 _FEWEST_DRAWN = 6  # smallest number of pairs for a histogram
 
-# ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
-
 
 @dataclass(frozen=True, eq=False)
 class ValidationScores(Brief):
-    """Scores of n pairs of model and recording with q outputs.
+    """Scores of n pairs (model, recording) with q outputs.
 
     Attributes
     ----------
@@ -72,7 +70,7 @@ class ValidationScores(Brief):
         return len(self.models)
 
     def to_frame(self) -> Any:
-        """Return the scores as a data frame, a row for each pair of model and recording.
+        """Return the scores as a data frame with a row for each pair (model, recording).
 
         Returns
         -------
@@ -101,7 +99,7 @@ class ValidationScores(Brief):
 
 @dataclass(frozen=True)
 class WorstPair:
-    """Pair of model and recording with a poor fit of one output.
+    """Pair (model, recording) with a poor fit of one output.
 
     Attributes
     ----------
@@ -122,7 +120,7 @@ class WorstPair:
 
 @dataclass(frozen=True, eq=False)
 class PointSummary(Brief):
-    """Summary of the pairs of one operating point.
+    """Summary of the validation pairs at one operating point.
 
     Attributes
     ----------
@@ -211,7 +209,7 @@ class ValidationSummary(Brief, Pictured, hdf5.InFile):
         return asdict(self)
 
     def tables(self) -> list[Table]:
-        """Return the table of the fit percent of each output, over all pairs and by operating point."""
+        """Return the table of the fit percent of each output, overall and by operating point."""
         columns = [
             *(Column(""), Column("output"), Column("pairs", format="d")),
             *(Column("fit\n", "%", ".2f"), Column("std\n", "%", ".2g"), Column("least\n", "%", ".2f")),
@@ -233,14 +231,14 @@ class ValidationSummary(Brief, Pictured, hdf5.InFile):
         return [Table(title, columns, rows, [f"failed: {text}" for text in self.failed])]
 
     def figures(self) -> list[Figure]:
-        """Return the histograms of the fit percent; none for few pairs."""
+        """Return histograms of the fit percent; none for few pairs."""
         means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(self.output_names, self.mean, strict=True))
         words = f"Histograms of the cross-validation fit, means {means}"
         return [Figure("plot_fit_histogram", words, (self,))] if self.n_pairs >= _FEWEST_DRAWN else []
 
 
 def join_scores(pairs: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:
-    """Return the scores of single pairs joined in one table.
+    """Return the scores of single pairs as one table.
 
     Parameters
     ----------
@@ -473,7 +471,7 @@ def cross_validate_many(
     recordings: Sequence[Recording],
     pairs: Sequence[tuple[int, int]] | None = None,
 ) -> ValidationScores:
-    """Return the scores of many models on many recordings, as `cross_validate` computes them for each pair.
+    """Return the scores of many models on many recordings; see `cross_validate`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Residual tests of a fitted model (paper, Sec. 3.8)."""
+"""Residual tests of a fitted model (paper, Sec. 3.8), and shaft lines in its residuals."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LAGS = 50  # largest lag that is tested, by default
 
 @dataclass(frozen=True, eq=False)
 class ResidualTest(Brief, Pictured):
-    """Tests of whiteness of the residuals and of their correlation with the inputs.
+    """Whiteness test of residuals, and test of their correlation with the inputs.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class ResidualTest(Brief, Pictured):
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """Findings as sentences."""
+        """Results of the tests as sentences."""
         words = []
         for output, white, p, inputs in zip(self.output_names, self.white, self.p_white, self.follows, strict=True):
             words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p:.2g})")
@@ -209,7 +209,7 @@ def check_residuals(
 
 
 def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[slice, BoolArray]:
-    """Return the stretch that is tested, and which of its samples have all outputs."""
+    """Return the tested stretch of the residuals, and its samples that have all outputs."""
     missing = np.isnan(select(recording, result.options.outputs, gaps=True, irregular=True)[0])
     whole = np.asarray(~missing.any(axis=1), bool)
     counted = counted_samples(recording, left_out)
@@ -224,7 +224,7 @@ def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[
 def _predicted(
     result: FitResult, recording: Recording, stretch: slice, counted: BoolArray, known_state: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the outputs without their disturbances, and their predictions; only samples that count are explained.
+    """Return outputs without trends and hum, and their predictions, at the samples that count.
 
     A known initial state is that of the stretch in a prediction without disturbances.
     """
@@ -256,7 +256,7 @@ def _predicted(
     return y, predicted
 
 
-# ---- Lines of the shaft in the residuals of a fit: run-out that the prefilter left.
+# ---- Shaft lines in the residuals of a fit: run-out that the prefilter did not remove.
 
 CLEAR = 30.0
 """A line counts when its power is this many times the usual power beside it. Of 50 lines in noise, none does with a
@@ -266,7 +266,7 @@ MOST = 50
 
 
 class ShaftLine(NamedTuple):
-    """Line at a multiple of the shaft frequency.
+    """Spectral line at a multiple of the shaft frequency.
 
     Attributes
     ----------
@@ -287,7 +287,7 @@ class ShaftLine(NamedTuple):
 
 
 def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) -> list[ShaftLine]:
-    """Return the largest line of the shaft in the residuals of each output, where one is clear.
+    """Return the largest significant shaft line in the residuals of each output.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
 
 
 def _lines(power: FloatArray, frequency: FloatArray, turning: float) -> list[tuple[int, float]]:
-    """Return order and rms of the clear lines."""
+    """Return order and rms of the significant shaft lines."""
     step = frequency[0]
     lines = []
     for order in range(1, min(MOST, int(frequency[-1] / turning)) + 1):

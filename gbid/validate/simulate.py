@@ -26,7 +26,7 @@ _NOTHING = 1e-17  # smaller entries of a basis vector of length one are taken as
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Modes of ``x[k+1] = F x[k] + G u[k] + G_next u[k+1]``, one of each conjugate pair.
+    """Modes of ``x[k+1] = F x[k] + G u[k] + G_next u[k+1]``; of each conjugate pair one mode.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Modes:
 
 
 class FreeResponses(NamedTuple):
-    """Orthonormal basis of the free responses.
+    """Orthonormal basis of the free responses of a model.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class FreeResponses(NamedTuple):
 
 
 class Explained(NamedTuple):
-    """Initial state of a simulation, and its residuals.
+    """Estimated initial state of a simulation, and the residuals.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Explained(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """Model prepared for the simulation on many recordings.
+    """Base of simulators: a model prepared for simulation on many recordings.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class Simulator:
 
     @property
     def rate(self) -> float:
-        """Rate at which a free response grows [1/s]; negative if the model is stable or nonlinear."""
+        """Growth rate of the fastest growing free response [1/s]; negative for stable and nonlinear models."""
         return -np.inf
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
@@ -141,7 +141,7 @@ class Simulator:
         return np.asarray(outputs.T)
 
     def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
-        """Return the trend and hum that are closest to an error of the simulation, at all samples.
+        """Return the trend and hum closest to a simulation error, at all samples.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Simulator:
         return self._course(rest, error.shape[1], counted, everywhere=True)
 
     def _course(self, rest: FloatArray, n: int, counted: BoolArray | None, *, everywhere: bool = False) -> FloatArray:
-        """Return the trend and hum closest to `rest` at the samples that count, there or at all n samples."""
+        """Return the trend and hum closest to `rest` at the samples that count, at these or at all n samples."""
         known = self.disturbances.instead_of_walks(1)
         if not known.n_columns:
             return np.zeros((len(rest), 1))
@@ -166,7 +166,7 @@ class Simulator:
 
 @dataclass(frozen=True, eq=False)
 class LinearSimulator(Simulator):
-    """Linear model prepared for the simulation on many recordings; see `Simulator`.
+    """Linear model prepared for simulation on many recordings; see `Simulator`.
 
     The modes are simulated one by one as filters of first order. The free responses from all initial states have an
     orthonormal basis, which is stored. So the best initial state is found by a projection.
@@ -272,7 +272,7 @@ def estimate_initial_state(
 def _modes(
     model: LinearModel, sample_time: float | FloatArray, intersample: str | Sequence[str] | None
 ) -> Modes | None:
-    """Return the modes of a model; None for delays, sampled models, irregular times, bad eigenvectors."""
+    """Return the modes of a model; None for delays, sampled models, irregular times or ill-conditioned eigenvectors."""
     if model.delay is not None or model.dt is not None or isinstance(sample_time, np.ndarray):
         return None
     F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, model.holds(intersample))
@@ -304,8 +304,6 @@ def _orthonormal(free: FloatArray) -> FreeResponses:
     return FreeResponses(leading, (right[:rank].T / weight[:rank]) / size[:, None])
 
 
-# ---- Simulation of a nonlinear model on recordings, from the initial state that is closest to the measured outputs.
-
 _ROUNDS = 30  # evaluations of a search
 _SETTLED = 1e-10  # relative step, and fall of the squares, at which it ends
 _FADED = 1e-4  # part of the influence of the initial state that is left in the second half of a stretch
@@ -314,7 +312,7 @@ _FIRST, _GROWTH = 16, 4  # samples of the first stretch, for each state, and by 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearSimulator(Simulator):
-    """Nonlinear model prepared for the simulation on recordings; see `Simulator`.
+    """Nonlinear model prepared for simulation on recordings; see `Simulator`.
 
     The initial state is found by least squares, first on the first samples, and then on more and more: over a whole
     recording the squares have many minima. This ends where its influence has faded.
@@ -366,16 +364,13 @@ class NonlinearSimulator(Simulator):
 
 
 def _lengths(counted: BoolArray, n_states: int) -> list[int]:
-    """Return the lengths of the stretches before the whole recording, of samples that count enough."""
+    """Return increasing lengths of the first stretch of a recording, each with enough counted samples."""
     lengths, n = [], _FIRST * n_states
     while n < len(counted):
         if counted[:n].sum() >= 2 * n_states:
             lengths.append(n)
         n *= _GROWTH
     return lengths
-
-
-# ---- Simulator of a fitted model of either kind.
 
 
 @singledispatch
@@ -386,7 +381,7 @@ def simulator_of(
     disturbances: Disturbances = UNDISTURBED,
     name: str = "model",
 ) -> Simulator:
-    """Return the simulator of a model."""
+    """Return the simulator of a model, linear or nonlinear."""
     return LinearSimulator(model, sample_time, intersample, disturbances, name)
 
 
@@ -394,7 +389,7 @@ simulator_of.register(NonlinearModel, NonlinearSimulator)
 
 
 def refuse_scheduled(result: FitResult) -> None:
-    """Refuse the fit of a scheduled structure, whose model holds in the middle of the range only."""
+    """Refuse the fit of a scheduled structure: its model is valid in the middle of the range only."""
     if result.schedule is not None:
         raise UsageError(
             f"the parameters of {result.structure!r} follow {', '.join(result.schedule.variables)}; its model "
@@ -403,13 +398,13 @@ def refuse_scheduled(result: FitResult) -> None:
 
 
 def simulator(result: FitResult) -> Simulator:
-    """Return a fitted model prepared for the simulation on many recordings."""
+    """Return the simulator of a fitted model."""
     refuse_scheduled(result)
     return simulator_of(result.model, result.sample_time, None, result.disturbances, ", ".join(result.recordings))
 
 
 def at_clock_of(fitted: Simulator, clock: float | FloatArray) -> Simulator:
-    """Return a simulator for a recording with this sample time or irregular times.
+    """Return the simulator of a fit for the sample time or the irregular times of a recording.
 
     That of a fit to irregular times, or to frequency responses alone, has no sample time of its own.
     """
@@ -422,7 +417,7 @@ def clock_of(recording: Recording) -> float | FloatArray:
     return recording.sample_time if recording.stamps is None else recording.stamps
 
 
-# ---- Signals of a recording on which models are validated, and the samples that count.
+# ---- Validation data of a recording, and fit percent.
 
 Ranges = Sequence[tuple[int, int]]
 """Ranges of samples (start, stop); the stop sample is not part of the range."""
@@ -512,7 +507,7 @@ def validation_data(result: FitResult, recording: Recording, left_out: Ranges = 
 
 
 def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
-    """Return which samples count when some ranges are left out; None when all count.
+    """Return which samples count when some time ranges are left out; None when all count.
 
     Raises
     ------
@@ -530,9 +525,6 @@ def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
     if not counted.any():
         raise DataError(f"recording {recording.name!r}: all samples are left out; keep some")
     return None if counted.all() else counted
-
-
-# ---- Fit percent: share of a signal that a model explains.
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> FloatArray:

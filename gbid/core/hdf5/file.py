@@ -1,4 +1,4 @@
-"""HDF5 files of gbid: their entries, atomic writing, checked reading."""
+"""HDF5 files of gbid: datasets and attributes, atomic writing, checked reading."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from gbid.core.errors import DataError, GbidError
 from gbid.core.files import atomic_path, has_valid_checksum, library_errors, with_checksum
 from gbid.core.names import given_path, one_line
 
-# ---- Entries of an HDF5 file: datasets and attributes with units and long names, checked when they are read.
-
 TEXT = h5py.string_dtype()
 _ROOM, _EXPANSION = 1 << 20, 1032  # most bytes of a dataset: deflate makes 1032 of one
 _COMPRESSED = 10_000  # smallest number of values in a compressed dataset
@@ -39,7 +37,7 @@ class DamagedError(DataError):
 def add_dataset(
     group: h5py.Group, name: str, values: npt.ArrayLike, unit: str, long_name: str, compress: bool = False
 ) -> h5py.HLObject:
-    """Write one dataset of numbers or texts with its unit and its long name; return it. Only many are compressed."""
+    """Write one dataset of numbers or texts with unit and long name, and return it; `compress` acts on large ones."""
     values = np.asarray(values)
     if compress and values.size >= _COMPRESSED:
         dataset = group.create_dataset(name, data=values, compression="gzip", shuffle=True)
@@ -53,7 +51,7 @@ def add_dataset(
 
 
 def add_attribute(item: h5py.HLObject, name: str, values: npt.NDArray[Any]) -> None:
-    """Write numbers or texts as a new attribute; low-level calls take half the time of ``item.attrs``."""
+    """Write numbers or texts as a new attribute, by low-level calls: twice as fast as ``item.attrs``."""
     values, kind, memory, space = _stored(values)
     h5py.h5a.create(item.id, name.encode(), kind, space).write(values, memory)
 
@@ -64,7 +62,7 @@ def _text(text: str) -> npt.NDArray[Any]:
 
 
 def _stored(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], h5py.h5t.TypeID, h5py.h5t.TypeID, h5py.h5s.SpaceID]:
-    """Return numbers or texts as HDF5 takes them, with their types in the file and in memory, and their space."""
+    """Return numbers or texts as h5py stores them, with file type, memory type and dataspace."""
     values = np.asarray(values, dtype=TEXT if values.dtype.kind == "O" else None, order="C")
     return values, *_types_of(values.dtype), _space_of(values.shape)
 
@@ -74,12 +72,12 @@ _space_of = lru_cache(h5py.h5s.create_simple)
 
 @cache
 def _types_of(dtype: np.dtype[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5t.TypeID]:
-    """Return the types of values in a file and in memory; made for each value, they take a third of the time."""
+    """Return file type and memory type of values, cached: creating them takes a third of the time of a write."""
     return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
 
 
 def _properties() -> tuple[h5py.h5p.PropDCID, h5py.h5p.PropLCID]:
-    """Return properties of a new dataset, and of its link: no time stamps; groups of its name are made."""
+    """Return property lists of a new dataset and of its link: no time stamps, missing groups are created."""
     dataset, link = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
     dataset.set_obj_track_times(False)
     link.set_create_intermediate_group(True)
@@ -142,7 +140,7 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
 
 
 def read_attribute(item: h5py.HLObject, name: str, at: str = ".") -> Any:
-    """Return the value of one attribute of a file, group or dataset, or of what is in a group `at` a path.
+    """Return the value of an attribute of a file, group or dataset; `at` is the path of an item in a group.
 
     Raises
     ------
@@ -166,7 +164,7 @@ def read_attribute(item: h5py.HLObject, name: str, at: str = ".") -> Any:
 
 
 def read_text(item: h5py.HLObject, name: str, at: str = ".") -> str:
-    """Return the text of one attribute, as `read_attribute`.
+    """Return the text of one attribute; see `read_attribute`.
 
     Raises
     ------
@@ -180,7 +178,7 @@ def read_text(item: h5py.HLObject, name: str, at: str = ".") -> str:
 
 
 def read_texts(item: h5py.HLObject, name: str, at: str = ".") -> tuple[str, ...]:
-    """Return the texts of one attribute, as `read_attribute`.
+    """Return the texts of one attribute; see `read_attribute`.
 
     Raises
     ------
@@ -194,7 +192,7 @@ def read_texts(item: h5py.HLObject, name: str, at: str = ".") -> tuple[str, ...]
 
 
 def read_group(group: h5py.Group, name: str) -> h5py.Group:
-    """Return the subgroup of that name.
+    """Return the subgroup with the given name.
 
     Raises
     ------
@@ -209,11 +207,11 @@ def read_group(group: h5py.Group, name: str) -> h5py.Group:
 
 
 def where(group: h5py.HLObject, name: str) -> str:
-    """Return the path of an entry within its file; of the group itself for "."."""
+    """Return the path of an entry within its file; for "." the path of the group itself."""
     return group.name if name == "." else f"{group.name.rstrip('/')}/{name}"
 
 
-# ---- Files: written in full or not at all, checked before the HDF5 library sees them.
+# ---- Whole files: atomic writing, and checks before the HDF5 library opens them.
 
 _CHECKSUM = "checksum"  # attribute of the root: such a file ends with its checksum
 _KEY_LINE = 200  # bytes at the end of a result: the lines of its key and its checksum
@@ -222,7 +220,7 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class FileKind:
-    """Kind of file.
+    """Kind of an HDF5 file of gbid.
 
     Attributes
     ----------
@@ -256,7 +254,7 @@ def versions() -> Mapping[str, str]:
 
 
 def read_made_with(path: Path) -> dict[str, Any]:
-    """Return what an HDF5 file was made with; empty for a file that does not say it.
+    """Return the versions that wrote an HDF5 file; empty for a file without them.
 
     Raises
     ------
@@ -270,7 +268,7 @@ def read_made_with(path: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterator[h5py.File]:
-    """Return a context with a new HDF5 file, which appears under its name only when it is complete.
+    """Return a context with a new HDF5 file, which appears under its name when it is complete.
 
     Parameters
     ----------
@@ -308,7 +306,7 @@ _origin: ContextVar[tuple[Path | None, Mapping[str, str]]] = ContextVar("origin"
 
 @contextlib.contextmanager
 def with_origin(path: Path, key: str, origin: Mapping[str, Any]) -> Iterator[None]:
-    """Return a context that writes a result to a path; the file gets its content key and its origin.
+    """Return a context that writes a result to a path; the file stores the content key and origin of the result.
 
     A file of `writing` gets them with all else, one of another library at the end.
     """
@@ -325,7 +323,7 @@ def with_origin(path: Path, key: str, origin: Mapping[str, Any]) -> Iterator[Non
 
 @contextlib.contextmanager
 def changing(path: Path, mode: str = "r+") -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file to change, or a new one ("w"); it is written at the end if no error occurs.
+    """Return a context with an existing or new ("w") HDF5 file; the changes are saved if no error occurs.
 
     It is in memory: on a full disk the HDF5 library cannot close its own file, and crashes the process at its end.
     """
@@ -379,7 +377,7 @@ def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file of gbid for reading; its checksum is verified before.
+    """Return a context with an HDF5 file of gbid for reading, after verification of its checksum.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Dataclasses in HDF5 files: each field is stored by its type; values with a file of their own are saved and loaded."""
+"""Dataclasses in HDF5 files: a codec for each type of field, and values that save and load whole files."""
 
 from __future__ import annotations
 
@@ -46,8 +46,6 @@ from gbid.core.hdf5.file import (
 )
 from gbid.core.option_types import plain, type_parts
 
-# ---- Declaration of a stored field, written beside the field: unit, long name, shape and place in the HDF5 file.
-
 
 @dataclass(frozen=True)
 class Stored:
@@ -93,7 +91,7 @@ _WORDS = {"f": "numbers", "i": "whole numbers", "b": "true or false", "U": "text
 
 @dataclass
 class Context:
-    """Units, lengths and keys that the fields of one value share while it is written or read.
+    """Units, lengths and keys shared by the fields of one value while it is written or read.
 
     Attributes
     ----------
@@ -110,7 +108,7 @@ class Context:
     keys: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def check(self, shape: tuple[int, ...], expected: tuple[str, ...] | None, what: Callable[[], str]) -> None:
-        """Refuse a shape that differs from the declared one, or from lengths found before."""
+        """Refuse an array whose shape differs from the declaration, or from lengths of earlier fields."""
         if expected is None or not (shape or expected):
             return
         if len(shape) == len(expected) and shape[:1] == (0,):  # an empty array has no further lengths
@@ -156,7 +154,7 @@ class Leaf:
         self.put(group, name, self.encode(value), context)
 
     def put(self, group: h5py.Group, name: str, values: Any, context: Context) -> None:
-        """Write values that are encoded already."""
+        """Write values that are already encoded as numbers or texts."""
         array = np.array(values, dtype=object) if self.kind == "U" else np.asarray(values)
         array = self._typed(array, lambda: where(group, name))
         if not array.size and self.shape:
@@ -175,7 +173,7 @@ class Leaf:
         return self.build(self.get(group, name, context))
 
     def get(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Return the array from which the value is built; a single number or text for the shape ()."""
+        """Return the stored array that the field is decoded from; a single number or text for the shape ()."""
         if self.is_dataset:
             array = read_dataset(group, name, texts=self.kind == "U")
         else:
@@ -195,16 +193,13 @@ class Leaf:
 
 
 def attribute_of(place: str) -> tuple[str, str]:
-    """Return path and attribute of a place such as ``"parameters@units"`` or ``"status"``; "." is the group itself."""
+    """Return path and attribute name of a place such as ``"parameters@units"``; the path "." is the group itself."""
     path, at, attribute = place.partition("@")
     return (path or ".", attribute) if at else (".", place)
 
 
-# ---- Codecs of nested fields: dataclasses, tuples of dataclasses, mappings, and optional values.
-
-
 class Codec(Protocol):
-    """Writer and reader of one field of a dataclass in a group."""
+    """Protocol of a codec: it writes and reads one field of a dataclass in a group."""
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context, /) -> None:
         """Write the value of the field `name`."""
@@ -215,7 +210,7 @@ class Codec(Protocol):
 
 @dataclass(frozen=True)
 class DataclassGroup:
-    """Codec of a dataclass: a group."""
+    """Codec of a dataclass, stored as a group."""
 
     made: type
     fields: tuple[tuple[str, str, Codec], ...]  # name, place, codec
@@ -236,7 +231,7 @@ class DataclassGroup:
         return self.get(read_group(group, name), {}, Context())
 
     def get(self, group: h5py.Group, given: Mapping[str, Any], context: Context) -> Any:
-        """Return the dataclass from the fields of a group, completed by the values `given`."""
+        """Return the dataclass from the fields of a group; `given` are values of fields that are not stored."""
         return self.made(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
 
 
@@ -357,19 +352,19 @@ class Attributes:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Codec of a value of one of several types."""
+    """Codec of a value whose type is one of several (a union)."""
 
     codecs: tuple[Codec, ...]
     may_be_absent: bool
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
-        """Write the value as the first type that accepts it; nothing for None."""
+        """Write the value with the first codec that accepts it; nothing for None."""
         if value is None and self.may_be_absent:
             return
         self._first(lambda codec: codec.write(group, name, value, context))
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Return the value as the first type that accepts it; None when it is absent."""
+        """Return the value of the first codec that accepts the entry; None when the entry is absent."""
         if self.may_be_absent and not _contains(group, name):
             return None
         records = [codec for codec in self.codecs if isinstance(codec, DataclassGroup)]
@@ -393,8 +388,6 @@ def _contains(group: h5py.Group, place: str) -> bool:
     path, attribute = attribute_of(place)
     return place in group or (path in group and attribute in group[path].attrs)
 
-
-# ---- Codecs of fields, chosen by their types.
 
 _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b", str: "U"}
 _LINES = tuple[tuple[str, ...], ...]
@@ -451,7 +444,7 @@ def _is_record(hint: Any) -> bool:
 
 
 def _columns(rows: DataclassGroup) -> Codec:
-    """Return columns when each field is a number, a text or an array of declared shape; else one group per row."""
+    """Return a codec by columns if each field is a number, a text or an array of declared shape; else by rows."""
     columns = []
     for name, _, leaf in rows.fields:
         if not isinstance(leaf, Leaf) or leaf.shape is None or (leaf.shape and leaf.kind == "U"):
@@ -476,12 +469,12 @@ _plain_json = partial(json.dumps, default=dict)
 
 
 def _is_plain(hint: Any) -> bool:
-    """Return whether a type is text, or a mapping to such types."""
+    """Return whether a type is text, or a mapping whose values are plain in turn."""
     return hint is str or (bool(get_args(hint)) and get_origin(hint) is Mapping and _is_plain(get_args(hint)[1]))
 
 
 def _checked(value: Any, hint: Any) -> Any:
-    """Return a value read from JSON; refuse one that does not have the type."""
+    """Return a value read from JSON; refuse a value of another type."""
     if hint is str and isinstance(value, str):
         return value
     if hint is not str and isinstance(value, dict):
@@ -508,7 +501,7 @@ def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
 
 
 def _values(hint: Any) -> _ArrayCodec | None:
-    """Return how values of a type are converted to arrays and back; None when they cannot be."""
+    """Return the functions that convert values of a type to arrays and back; None for other types."""
     origin, args = type_parts(hint)
     if hint in _SCALARS:
         return _ArrayCodec(_SCALARS[hint], hint, (), _same)
@@ -552,7 +545,7 @@ def _one_of(value: Any, allowed: tuple[Any, ...]) -> Any:
 
 
 def _lines(texts: tuple[str, ...]) -> str:
-    """Write texts one a line; a line break within a text becomes two characters, as in many languages."""
+    """Write texts as lines of one text; a line break within a text is escaped by two characters."""
     return "\n".join(text.replace("\\", "\\\\").replace("\n", "\\n") for text in texts)
 
 
@@ -563,8 +556,6 @@ def _split(texts: Any) -> tuple[tuple[str, ...], ...]:
 def _one_text(line: str) -> str:
     return re.sub(r"\\([\\n])", lambda match: "\n" if match[1] == "n" else "\\", line)
 
-
-# ---- Dataclasses in HDF5 files: each field is stored by its type, see `gbid.core.hdf5.Stored`.
 
 T = TypeVar("T")
 
@@ -590,7 +581,7 @@ def write_fields(group: h5py.Group, value: Any, units: Mapping[str, str] | None 
 
 
 def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
-    """Return the dataclass in a group of `write_fields`.
+    """Return the dataclass in a group written by `write_fields`.
 
     Parameters
     ----------
@@ -610,11 +601,11 @@ def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
     return value
 
 
-# ---- Values with a file of their own.
+# ---- Values that are saved in an HDF5 file and loaded from it.
 
 
 class InFile:
-    """Base of the dataclasses that `save` writes to a file of their own, and `load` reads.
+    """Base of dataclasses that `save` writes to an HDF5 file and `load` reads.
 
     Their fields are stored by their types. A value that is stored in another way overrides both methods.
     """
@@ -626,11 +617,11 @@ class InFile:
         write_fields(group, self)
 
     def write_beside(self, path: Path, overwrite: bool) -> None:
-        """Write the file of another format that some values have beside `path`; `overwrite` as for `save`."""
+        """Write the companion file in another format beside `path`; `overwrite` as for `save`."""
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> Self:
-        """Return the value in a `group` of `to_hdf5`."""
+        """Return the value in a `group` written by `to_hdf5`."""
         return read_fields(group, cls)
 
 
@@ -640,7 +631,7 @@ DOCUMENT = "document"
 
 
 def save(value: InFile, path: str | Path, overwrite: bool = False, document: Any = None, **attributes: Any) -> None:
-    """Write a value to an HDF5 file, which appears under its name only when it is complete.
+    """Write a value to an HDF5 file, which appears under its name when it is complete.
 
     Parameters
     ----------
@@ -672,7 +663,7 @@ def save(value: InFile, path: str | Path, overwrite: bool = False, document: Any
 
 
 def read_document(path: Path, kind: FileKind) -> Any:
-    """Return the plain values that `save` stored beside a value.
+    """Return the plain values (JSON) that `save` stored with a value.
 
     Raises
     ------
@@ -684,11 +675,11 @@ def read_document(path: Path, kind: FileKind) -> Any:
 
 
 def document_in(file: h5py.File) -> Any:
-    """Return the plain values that `save` stored beside a value, from an open file."""
+    """Return the plain values (JSON) that `save` stored with a value, from an open file."""
     return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 
 def load(path: str | Path, kind: type[F]) -> F:
-    """Return the value of a kind in an HDF5 file of `save`; errors as those of `gbid.load`."""
+    """Return the value of a kind from an HDF5 file written by `save`; errors as for `gbid.load`."""
     with reading(path, kind.FILE) as file:
         return kind.from_hdf5(file)

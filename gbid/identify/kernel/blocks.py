@@ -356,9 +356,6 @@ def in_groups(parts: Iterable[FloatArray], length: int, n_groups: int) -> FloatA
     return groups
 
 
-# ---- Results of a pass over the samples.
-
-
 class BlockSums(NamedTuple):
     """Results of a pass: sums over all blocks, then values of each of the W blocks, with padding.
 

@@ -109,7 +109,7 @@ def _times(matrix: FloatArray, rows: FloatArray) -> FloatArray:
     return np.asarray(rows @ matrix.T if matrix.ndim == 2 else (matrix @ rows[:, :, None])[:, :, 0])
 
 
-# ---- Kalman gains after gaps: those of the model with the covariance of its innovations, found in rounds.
+# ---- Kalman gains after gaps, for a model with the covariance of its innovations.
 
 
 def with_constant_gain(segment: Segment, n_states: int, *, feeds_back: bool) -> Segment:

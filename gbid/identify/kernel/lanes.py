@@ -19,8 +19,6 @@ from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
 from gbid.identify.kernel.sums import SampleSums
 
-# ---- C of a casadi.Function for a vector of columns, written from CasADi's own list of instructions.
-
 _BY_LANE = "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil erf log1p expm1"
 _OF_ONE = {getattr(ca, f"OP_{name.upper()}"): name for name in _BY_LANE.split()}
 _PAIRS_BY_LANE = "pow constpow fmin fmax fmod remainder atan2 copysign hypot"
@@ -143,10 +141,8 @@ def _value(f: ca.Function, k: int, operation: int, names: list[str]) -> str:
     return _EXPRESSIONS[operation].format(*names)
 
 
-# ---- C of the products with the Jacobians of a sample, in which entries that are always zero do not occur.
-#
-# All matrices but the Jacobian F of a step have dense columns. What can differ from zero in a column is known: with
-# those rows a column is multiplied, and all others are left as they are, zero from the start.
+# Products with the Jacobians of a sample: all matrices but the Jacobian F of a step have dense columns. The rows of a
+# column that can differ from zero are known: only these are multiplied, and all others stay zero from the start.
 
 _MOST_KINDS = 4  # of columns, by their rows: more of them would make the source long
 _ARGUMENTS = "const v *restrict a, const v *s, const v *restrict b, v *r"

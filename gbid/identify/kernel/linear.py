@@ -209,7 +209,7 @@ def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
     return np.asarray(sum(slopes.reshape(n_p, -1) @ products.ravel() for slopes, products in pairs))
 
 
-# ---- Passes without a C compiler.
+# ---- Kernel in numpy, for machines without a C compiler.
 
 
 class PortableLinearKernel(LinearKernel, PortablePasses):
@@ -275,7 +275,7 @@ def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArr
     return np.concatenate([states, blocks.z(v.shift)], axis=2)
 
 
-# ---- Entries of the predictor's matrices that may differ from zero.
+# ---- Kernel in C: pattern of nonzeros, generated source, compiled passes.
 
 
 class KernelPattern(NamedTuple):
@@ -328,8 +328,6 @@ def reached(F: BoolArray, first: BoolArray) -> BoolArray:
     return first
 
 
-# ---- C source of the pass over the samples, for one size and one pattern of nonzeros.
-#
 # Blocks run side by side in the lanes of a vector type. The recursion of states and sensitivities is written out
 # entry by entry, zeros left out; the sums over the samples are small matrix products on a buffer of a few steps, so
 # that their accumulators stay in registers. The second pass, products of the adjoint and the
@@ -457,8 +455,6 @@ def _state_sensitivity(p: KernelPattern, i: int) -> dict[int, str]:
         for r in np.flatnonzero(live)
     }
 
-
-# ---- Compiled kernel.
 
 _CHUNK = 8  # samples that sensitivities.c holds before it writes them
 LONGEST_SOURCE = 200_000

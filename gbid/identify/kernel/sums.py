@@ -191,8 +191,6 @@ def tied(sweep: Sweep, tie: FloatArray | None) -> Sweep:
     )
 
 
-# ---- Growth of small deviations of the state: of a constant transition, or along a trajectory.
-
 _TENFOLD = 10.0  # growth that counts
 _TINY = float(np.finfo(float).tiny)
 
@@ -239,7 +237,7 @@ def _product(steps: FloatArray) -> tuple[FloatArray, float]:
     return (steps[0], log) if len(steps) else (np.eye(steps.shape[1]), log)
 
 
-# ---- Protocol of a kernel: the pass over the samples of a group of records, linear or nonlinear.
+# ---- Kernels: protocol of the passes over the samples of a group of records.
 
 
 class Traced(NamedTuple):
@@ -415,7 +413,7 @@ class KernelOfLinear(Kernel):
         return v
 
 
-# ---- Kernels that run all blocks sample by sample, with the sensitivities by the start of each block beside others.
+# ---- Kernels that run all blocks sample by sample, with sensitivities to the start of each block.
 
 _AT_ONCE = 64  # blocks whose sensitivities are made together
 

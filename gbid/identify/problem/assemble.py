@@ -44,8 +44,6 @@ from gbid.structure import Parameter, Values
 from gbid.structure.kinds import AnyStructure, kind_of
 from gbid.structure.linear import in_one_line
 
-# ---- Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces.
-
 
 @dataclass(frozen=True, eq=False)
 class Ties:
@@ -103,8 +101,6 @@ def tie_of(
     return tuple(position[name] for name in seen), tie
 
 
-# ---- Kernel of a predictor: compiled, or the portable one without a C compiler.
-
 MOST_INSTRUCTIONS = 60_000
 """Largest number of operations of all functions of a sample that are compiled: 10 000 take about 3 s."""
 
@@ -151,9 +147,6 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tu
         else:
             return kernel, [FitNote.SLOW_ENGINE(kernel.note), *notes] if kernel.note else notes
     return portable(), [FitNote.SLOW_ENGINE(reason), *notes]
-
-
-# ---- Segments of records: cut at left-out samples and edges of pieces, and grouped by predictor.
 
 
 def segments_of(
@@ -263,8 +256,6 @@ def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) 
         )
     return True
 
-
-# ---- Assembly of a fit from recordings and options: parts, links, and shared parameters.
 
 _WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
 """Samples in a window, and most windows: more samples make longer windows, as the solver's own work grows with these.
@@ -682,7 +673,7 @@ def _ridge_solve(hessian: FloatArray, gradient: FloatArray, scale: FloatArray) -
     return np.asarray(np.linalg.solve(matrix, (gradient * scale)[:, :, None])[:, :, 0] * scale)
 
 
-# ---- Extra cost and constraints that a caller writes with CasADi, as terms of the problem.
+# ---- Extra cost and constraints of the caller, written with CasADi.
 
 
 def with_extra_terms(

@@ -305,9 +305,6 @@ def _elsewhere(
     return rows, (FitNote.LIKELY_ELSEWHERE(text),)
 
 
-# ---- Scan of the likelihood along the frequencies of light modes.
-
-
 class _Point(NamedTuple):
     """Point of the likelihood: log-likelihood less the number of coefficients of the errors' models, and unknowns."""
 
@@ -408,9 +405,6 @@ def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:
 def _score(normal: _Normal, filters: Sequence[Whitening]) -> float:
     """Return the log-likelihood less the number of coefficients of the errors' models, as Akaike's criterion has it."""
     return normal.log_likelihood - sum(each.model.coefficients.size for each in filters)
-
-
-# ---- Descent to the next minimum.
 
 
 def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:

@@ -18,7 +18,7 @@ from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.sums import Lagrangian, Moved
 from gbid.identify.problem.nlp import Iterate, RecordGroup, Shooting
 
-# ---- Problem with each segment of a record as one window: it has fewer unknowns for the last iterations.
+# ---- Problem with one window for each segment, which has fewer unknowns.
 
 _LONG = 128  # samples of a block; a record of many shorter ones takes longer to link
 
@@ -116,7 +116,7 @@ def passed_on(problem: Shooting, theta: FloatArray, starts: FloatArray) -> tuple
     return growth, amount
 
 
-# ---- Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor.
+# ---- Second-order term of the Hessian (what Gauss-Newton neglects).
 
 # Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence
 # on the outputs amplify errors in their columns. Second: largest step relative to a parameter without influence.

@@ -137,7 +137,7 @@ def refinement(problem: Shooting, unknowns: FloatArray) -> Refinement:
     return Refinement(step, step - here, in_standard_deviations(problem, iterate, step - here))
 
 
-# ---- Linear model at the working point of a nonlinear fit, with derivatives by the parameters.
+# ---- Linear model at the working point of a nonlinear fit, with derivatives with respect to the parameters.
 
 
 def at_working_point(model: Any, problem: Shooting, theta: FloatArray, starts: FloatArray, data: FitData) -> Any:

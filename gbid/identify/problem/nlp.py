@@ -18,8 +18,6 @@ from gbid.identify.kernel.sums import Kernel, Lagrangian, Sweep, spectral_radius
 from gbid.identify.options import Criterion
 from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
 
-# ---- Parts of the shooting problem: groups of records, prior knowledge, and values at a point.
-
 
 @dataclass(frozen=True, eq=False)
 class RecordGroup:
@@ -136,8 +134,6 @@ class Pattern(NamedTuple):
         return cls(shape, row[order], column[order], order)
 
 
-# ---- Distance of predictors from instability, which a disturbance gain can reduce.
-
 EDGE = 0.02
 """Of the model's own margin: a gain that leaves no more is no estimate."""
 CLEAR = 0.2
@@ -164,7 +160,7 @@ def near_instability(predictor: Predictor, own: FloatArray, v: PredictorValues, 
     return (margin > 0 or not predictor.walks) and 1 - spectral_radius(v) <= share * margin
 
 
-# ---- Further cost and constraints of a caller, on parameters and initial states, in the problem of a fit.
+# ---- Extra cost and constraints of the caller, on parameters and initial states.
 
 _NEAR = 1e-4  # of the size of a constraint
 
@@ -266,7 +262,7 @@ def extra_notes(problem: Shooting, unknowns: FloatArray) -> tuple[str, ...]:
     return tuple(notes)
 
 
-# ---- Multiple-shooting problem of a prediction-error fit: cost, constraints and their derivatives as numbers.
+# ---- Multiple-shooting problem: cost, constraints and their derivatives.
 #
 # Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of
 # Eq. 15, or the log-determinant of its covariance. Constraints require that each window ends at the start state of the

@@ -21,8 +21,6 @@ from gbid.identify.problem.hessian import Curvature, ExactHessian, gauss_newton,
 from gbid.identify.problem.nlp import Box, Iterate, Pattern, Shooting
 from gbid.identify.result import FitStatus, Phase
 
-# ---- Python functions as CasADi callbacks.
-
 
 @dataclass
 class Trouble:
@@ -113,9 +111,6 @@ class Oracle(ca.Callback):
             if memory:
                 np.frombuffer(memory)[:] = value
         return 0
-
-
-# ---- Cost, constraints and their derivatives as functions of CasADi, for the solver and for users of CasADi.
 
 
 class NlpFunctions(NamedTuple):
@@ -230,7 +225,7 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
     return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
 
 
-# ---- First-order optimality of a point of the shooting problem, in standard deviations of the estimates.
+# ---- First-order optimality of a point, in standard deviations of the estimates.
 #
 # The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and within
 # the bounds. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
@@ -389,9 +384,6 @@ def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[Fl
     further = np.zeros((int(active.sum()), problem.n_unknowns))
     further[:, problem.extra_places[0]] = iterate.extra_slopes[active]
     return np.vstack([rows, further]), np.concatenate([off, distance[active]])
-
-
-# ---- Watch over the iterations of the solver: progress, stopping rules, Ctrl-C.
 
 
 @dataclass(frozen=True)
@@ -592,7 +584,7 @@ def _iterations_ahead(sigma: float, before: float) -> float:
     return float(np.log(max(sigma / TOLERANCES.step, 1.0)) / np.log(before / max(sigma, 1e-300)))
 
 
-# ---- IPOPT on the shooting problem.
+# ---- Runs of IPOPT on the shooting problem.
 
 _BY_IPOPT = {
     "Solve_Succeeded": FitStatus.CONVERGED,

@@ -142,7 +142,7 @@ def _entries(state: OwnState, n: int) -> Sequence[float | str]:
     return entries
 
 
-# ---- Inputs that do not move: a free decay, or a constant force.
+# ---- Constant inputs: free decays and constant forces.
 
 
 def check_inputs_suffice(
@@ -205,7 +205,7 @@ def decay_notes(data: FitData) -> tuple[str, ...]:
     )
 
 
-# ---- Start values of disturbances, and data without them for start values of a model.
+# ---- Trend and hum: their start values, and data without them.
 
 _RUNAWAY = 1e3  # size of a simulation, in that of the outputs, beyond which the model counts as unstable
 

@@ -271,8 +271,6 @@ def _states(
     )
 
 
-# ---- Subspace model for users, with an order that the data choose.
-
 _MOST_STATES = 20  # tried with order="auto"
 _TRAINING = 0.7  # part of each recording that models of all orders are estimated from; the rest judges them
 _STANDARD_ERRORS = 2.0  # by which squared errors may exceed the least of twenty orders by chance
@@ -455,7 +453,7 @@ def _errors(model: BlackBox, record: Record) -> FloatArray:
     return np.asarray(rest - (from_start @ start).reshape(rest.shape))
 
 
-# ---- Match of a structure to the frequency response of a black-box model: parameters without start values.
+# ---- Match of a structure to the frequency response of a black-box model.
 
 _SAME, _AGREEING = 1e-3, 3  # largest relative difference of equal misfits, and the number of them that is enough
 _POOR = 0.3  # smallest misfit that is not believed, however often it is found

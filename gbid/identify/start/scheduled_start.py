@@ -172,7 +172,7 @@ def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
     return tuple((np.arange(1, count) * n // count).tolist())
 
 
-# ---- Fit of a structure with constant parameters to a part of a recording, for start values: estimates and variances.
+# ---- Start values of surfaces: fits to parts of the recordings, and polynomials through their estimates.
 
 
 class PartFit(NamedTuple):
@@ -220,8 +220,6 @@ def _inverse_diagonal(hessian: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(hessian * np.outer(size, size))
     return np.asarray((vectors**2 / np.maximum(values, 1e-12 * values[-1])).sum(axis=1) * size**2)
 
-
-# ---- Start values of surfaces: fits to parts of the recordings, and a polynomial through their estimates.
 
 _LENGTH_S, _SHORTEST, _MOST = 1.0, 200, 12  # usual part [s], samples of the shortest, and most parts of a recording
 _HUBER = 1.5
@@ -335,7 +333,7 @@ def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatA
     return np.asarray(flat + min(share, 1.0) * (coefficients - flat))
 
 
-# ---- Equations with constant parameters, and how these follow from the parameters of a fit.
+# ---- Equations of one piece with constant parameters, as functions of the coefficients of the surfaces.
 
 
 def tied_equations(

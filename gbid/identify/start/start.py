@@ -25,8 +25,6 @@ from gbid.structure.built_in import AXES, PAIRS
 from gbid.structure.kinds import kind_of
 from gbid.structure.linear import evaluate, symbolic_matrices
 
-# ---- Spectra of records, and complex equations as real ones.
-
 
 def spectrum_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Return angular frequencies (n_f,) [rad/s] and transforms (n_f, n) of a record's samples without the mean."""
@@ -81,12 +79,9 @@ def _real_poles(a1: float, a2: float, sample_time: float) -> tuple[float, float]
     return float(min(slow, fastest)), float(min(fast, fastest))
 
 
-# ---- Start values of a rotor bearing from data, by least squares in the frequency domain.
-#
-# A model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients for given delays. A fit then is a least-squares
-# problem over some hundred frequencies. The ends of a record add a polynomial in s to the transform of a derivative;
-# the
-# polynomial is estimated together with the coefficients.
+# Start values of a rotor bearing: a model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients for given
+# delays. A fit then is a least-squares problem over some hundred frequencies. The ends of a record add a polynomial in
+# s to the transform of a derivative; the polynomial is estimated together with the coefficients.
 
 _REGULAR = 1e-10  # determinant of two columns, as a part of that of orthogonal ones, above which they are told apart
 _FREQUENCIES = 800  # largest number in the band of the resonance; modes are much wider than their distance
@@ -193,9 +188,6 @@ def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None 
     return values
 
 
-# ---- Start values of a structure: those that it states, and for the built-in ones those found in the data.
-
-
 @singledispatch
 def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG001
     """Return start values of all parameters that have none.
@@ -294,9 +286,6 @@ def _without_unbalance(bearing: RotorBearing, data: FitData) -> FitData:
     return replace(data, records=tuple(replace(r, inputs=r.inputs[:, :2]) for r in data.records))
 
 
-# ---- Data of the plant within a closed loop, for start values: what the controller did is known from what it measured.
-
-
 def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> FitData:
     """Return the data of a loop with the inputs of its plant in place of what was injected.
 
@@ -320,7 +309,7 @@ def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> F
     return replace(data, records=tuple(records))
 
 
-# ---- Start values of any linear structure from its data: a subspace estimate, matched to the structure.
+# ---- Start values of a linear structure: a subspace model, matched by the structure.
 
 
 @dataclass(frozen=True)
@@ -482,9 +471,6 @@ def _draw(
         size = size * 10.0 ** random.uniform(-MATCH.decades, MATCH.decades, len(scale))
         sign = np.where(lower >= 0, 1.0, np.where(upper <= 0, -1.0, random.choice([-1.0, 1.0], len(scale))))
         yield np.clip(np.where(between, random.uniform(low, high), sign * size), lower, upper)
-
-
-# ---- Start values of a fit and where they come from: the caller, the structure, or the data.
 
 
 @dataclass(frozen=True)

@@ -180,8 +180,6 @@ def _inverses(matrices: FloatArray) -> FloatArray:
     return np.asarray((np.array([[d, -b], [-c, a]]) / (a * d - b * c)).transpose(2, 0, 1))
 
 
-# ---- Share of the disturbance gain in the covariance of the gradient, when errors are coloured.
-
 _UNIFORM = 256  # frequencies from 0 to pi
 _NEAR = np.geomspace(0.1, 100.0, 14)  # distances of further frequencies from a pole, in units of its half width
 
@@ -239,9 +237,6 @@ def _frequencies(poles: FloatArray) -> FloatArray:
     return np.unique(grid[(grid >= 0) & (grid <= np.pi)])
 
 
-# ---- Sensitivities of the predictions, sample by sample, by parameters and initial states.
-
-
 class RecordSensitivities(NamedTuple):
     """Errors of a record, and the sensitivities of its predictions.
 
@@ -266,7 +261,7 @@ class RecordSensitivities(NamedTuple):
     feedback: tuple[PredictorValues, IntArray] | None = None
 
 
-# ---- Whitening: errors and sensitivities of a record, filtered by the model of its errors.
+# ---- Whitening: errors and sensitivities of a record, filtered by the autoregressive model of the errors.
 
 
 class Whitening(NamedTuple):
@@ -355,7 +350,7 @@ def _stretches(counted: BoolArray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges) if counted[a]]
 
 
-# ---- Covariance of the gradient for coloured errors: exact for a model of the errors of each record.
+# ---- Covariance of the gradient for coloured errors.
 
 _ROUNDS = 2  # rounds in which the part of the errors that the fit took away is given back
 _LEAST = 0.1  # part of the covariance of the gradient that feedback of errors leaves at least

@@ -98,8 +98,6 @@ def grows(at: Estimate) -> bool:
     return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH)) or on_the_way > _GROWTH
 
 
-# ---- Information of records on parameters and initial states: Hessians of the cost.
-
 _BLOCK = 64  # samples of a block of the pass
 _CLOSED = 1e-6  # largest gap of the windows, in units of the states' size, with which a pass is one over whole records
 
@@ -363,8 +361,6 @@ def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[Pa
     return omitted_part(joined, at.theta, Lagrangian(starts, ends, weight), [np.diag(s.hessian) for s in sums])
 
 
-# ---- Sensitivities of the predictions of an unstable model, from its shooting windows.
-#
 # Over a whole record the sensitivities by the initial state of an unstable model grow without bound. Within a window
 # they do not. So the state at the start of each window is written as a bounded function of the parameters and of a few
 # further coordinates: of all trajectories that close the gaps, those of least norm, and an orthonormal basis of the
@@ -448,8 +444,6 @@ def _information_of(
             total[np.ix_(record.columns, record.columns)] += products
     return Information(hessians[0], hessians[1], None, records)
 
-
-# ---- Covariance of the parameters.
 
 UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 # Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
@@ -665,7 +659,7 @@ def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) 
     return result
 
 
-# ---- Uncertainty of modes and static gains, propagated from that of the parameters.
+# ---- Standard deviations of modes, static gain and matrices, propagated from the covariance of the parameters.
 
 
 def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArray]:
@@ -703,9 +697,6 @@ def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArra
         d_size = (np.conj(pole) * d_pole).real / size
         slopes[:, row] = np.column_stack([d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2])
     return oscillatory_modes(poles), slopes
-
-
-# ---- Standard deviations of what follows from the model of a fit: modes, static gain, and slopes of its matrices.
 
 
 class ModelSpreads(NamedTuple):

@@ -287,7 +287,7 @@ def quantile(level: float) -> float:
     return NormalDist().inv_cdf(0.5 + level / 2)
 
 
-# ---- Step and impulse responses of a model with standard deviations, propagated from the covariance of its parameters.
+# ---- Step and impulse responses of a model, with standard deviations.
 
 Excited = Literal["step", "impulse"]
 _SAMPLES = 600  # usual number of points
@@ -441,7 +441,7 @@ def _settling(model: LinearModel) -> float:
     return longest + (0.0 if model.delay is None else float(model.delay.max(initial=0.0)))
 
 
-# ---- Poles and zeros of a model with their covariances, propagated from that of the parameters.
+# ---- Poles and zeros of a model, with covariances.
 
 _FAR = 1e6  # smallest size of a zero, relative to the fastest pole, that counts as infinite
 

@@ -12,8 +12,6 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.identify.data import centred_rows
 
-# ---- Whiteness.
-
 LAGS = 25
 """Number of lags of the tests that a fit runs."""
 COLOURED = 0.01
@@ -119,9 +117,6 @@ def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
     rho, pairs = correlation(centred, centred, lags)[1:], correlation(present * 1.0, present * 1.0, lags)[1:] * count
     each = np.where(pairs > 0.5, (rho * count) ** 2 / np.maximum(pairs, 1.0), 1.0)
     return float(each.sum()) * (1 + 2 / max(count, 1))
-
-
-# ---- Independence of the inputs.
 
 
 class InputTest(NamedTuple):
