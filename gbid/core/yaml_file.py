@@ -95,7 +95,7 @@ def read_yaml(path: Path) -> YamlFile:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
-        problem = " ".join(str(error.problem or error.context or "not YAML").split())
+        problem = " ".join(str(error.problem or error.context or "not YAML")[:300].split())  # it may repeat values
         raise UsageError(f"{where}: not valid YAML: {problem}; correct it here or on the line before") from None
     except (YAMLError, ValueError) as error:
         raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}; correct it") from None

@@ -189,6 +189,8 @@ class FrequencyData(ChannelCurves, Pictured):
             pairs, coherent = read_apart(responses, path) if responses else read_apart(_of_csv, path, std is None)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+        if not pairs:
+            raise DataError(f"{path}: has the names of the columns, but no rows")
         outputs, inputs = (list(dict.fromkeys(pair[k] for pair in pairs)) for k in (0, 1))
         f = np.unique(np.concatenate([each.frequency_hz for each in pairs.values()]))
         f = f[f != 0]

@@ -269,6 +269,8 @@ class ImportMapping:
         object.__setattr__(self, "signals", _signals(self.signals))
         check_options(self)
         object.__setattr__(self, "conditions", dict(self.conditions))
+        if self.time == "":
+            raise UsageError("time is empty; name the time column or leave the key out", "time")
         if self.time is None and self.time_unit is not None:
             raise UsageError("time_unit is given without time; name the time column or leave the unit out")
         if self.samples is not None:

@@ -406,3 +406,9 @@ def test_a_result_is_stored(tmp_path):
 def test_bad_input_is_refused(make, words):
     with pytest.raises(UsageError, match=words):
         make()
+
+
+def test_a_table_without_rows_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("frequency_hz,magnitude,phase_deg,std\n")
+    with pytest.raises(DataError, match="but no rows"):
+        gbid.FrequencyData.read(tmp_path / "a.csv")

@@ -603,6 +603,7 @@ def test_an_archive_with_a_variable_twice_is_refused(tmp_path):
         ({"sample_time_s": DT}, "both given"),
         ({"sampel_time": DT}, "unknown key 'sampel_time'; did you mean 'sample_time'?"),
         ({"time_unit": "ms"}, "time_unit is given without time"),
+        ({"time": ""}, "time is empty"),
         ({"samples": [5]}, "samples = [5]; give (a whole number of at least 0, a whole number of at least 0 or None)"),
         ({"samples": [5, 5]}, "samples = (5, 5); give the first and the end, which lies after it"),
         ({"samples": [0, 5], "from_s": 1.0}, "samples is given beside from_s"),

@@ -100,7 +100,7 @@ def _read_units(path: Path) -> tuple[Any, tuple[str, ...]]:
     return rec, ()
 
 
-_ITEM = re.compile(r"([^\W\d_]+|1|%)(?:(?:\^|\*\*)?(-?\d)|(²))?")
+_ITEM = re.compile(r"([^\W\d_²]+|1|%)(?:(?:\^|\*\*)?(-?\d)|(²))?")
 
 
 def _product(text: str) -> float | None:
