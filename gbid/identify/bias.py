@@ -1,4 +1,4 @@
-"""Bias of a fit: by delay and hold, by what the structure leaves out, and by errors that come back in the inputs."""
+"""Bias of a fit: from delay and hold approximations, from an incomplete structure, and from feedback of errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DECISIVE = 4.5  # difference of log-likelihoods: three standard deviations of o
 
 @dataclass(frozen=True, eq=False)
 class OtherHold:
-    """A fit's problem with exact delays and inputs on curves between samples, and the estimates there.
+    """Problem of a fit with exact delays and curved inputs between samples, and its estimates.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class OtherHold:
 
 
 def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
-    """Return the problem of a fit with exact delays and inputs on curves, and its estimates.
+    """Return the problem of a fit with exact delays and curved inputs between samples, and its estimates.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
 
 
 def _posed_anew(optimum: Optimum, structure: AnyStructure, states: Sequence[int]) -> tuple[Shooting, FloatArray] | None:
-    """Return the problem with another structure, and window starts of the fit for it.
+    """Return the problem of a fit with another structure, and the window starts of the fit for this structure.
 
     `states` are the states of the fit that are those of the structure. None with further terms of the caller, which may
     be for the states of the fit.
@@ -128,7 +128,7 @@ _TOGETHER = 32_768  # samples
 
 
 def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:
-    """Return the problem with these inputs on curves between samples.
+    """Return the problem with some inputs interpolated by curves between samples.
 
     Notes
     -----
@@ -151,7 +151,7 @@ def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:
 
 
 def hold_notes(names: Sequence[str], units: Sequence[str], moved: FloatArray, std: FloatArray) -> list[str]:
-    """Return a note on the free parameters that delay and hold move by more than `TELLING` standard deviations.
+    """Return a note on the parameters that delay and hold shift by more than `TELLING` standard deviations.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ _CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a
 
 
 def share_of_feedback(record: Record, errors: FloatArray) -> float:
-    """Return the share of an input's innovation that past errors explain, the largest of all inputs.
+    """Return the share of an input's innovation explained by past errors: the largest share of all inputs.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ _CHANCE = 1e-3  # that residuals which follow no input are said to: one campaign
 def left_out_notes(
     optimum: Optimum, errors: Sequence[FloatArray], others: Sequence[FloatArray] | None, *, white: bool
 ) -> list[str]:
-    """Return a note on errors that come back in the inputs, or on residuals that follow an input.
+    """Return a note on errors fed back to the inputs, or on residuals that are correlated with an input.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def left_out_notes(
 
 
 class Bias(NamedTuple):
-    """What a fit's estimates are off by beside the noise.
+    """Systematic errors of the estimates, beside the noise.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ class Bias(NamedTuple):
 
 
 def bias_of(optimum: Optimum, errors: Sequence[FloatArray], std: FloatArray, *, white: bool) -> Bias:
-    """Return the bias of a converged fit.
+    """Return the systematic errors of a converged fit.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ class FitData:
     output_units: tuple[str, ...]
 
     def with_outputs(self, kept: Sequence[int]) -> FitData:
-        """Return the data with these of the outputs."""
+        """Return the data with a selection of the outputs."""
         records = (
             replace(
                 record,
@@ -89,15 +89,15 @@ class FitData:
 
     @property
     def is_irregular(self) -> bool:
-        """Whether the times of a record are irregular; then every record has times."""
+        """Whether the times of any record are irregular; then all records have times."""
         return any(record.time is not None for record in self.records)
 
     def time_of(self, record: Record) -> FloatArray:
-        """Return the times of the samples of one of the records from the first one [s], (n_samples,)."""
+        """Return the times of the samples of one record, counted from its first sample [s], (n_samples,)."""
         return np.asarray(self.sample_time * np.arange(record.n_samples)) if record.time is None else record.time
 
     def at_even_times(self) -> FitData:
-        """Return the data with straight lines between irregular times, read at even ones: for start values only."""
+        """Return the data interpolated linearly from irregular to even times; for start values only."""
         if not self.is_irregular:
             return self
         records = []
@@ -162,7 +162,7 @@ def select(
 
 
 def _meant(recording: Recording, name: str) -> tuple[str, str]:
-    """Return the signal and channel of a name, the channel empty for all; both names may contain points."""
+    """Return the signal and channel that a name means (channel empty for all); both names may contain points."""
     at = [i for i, letter in enumerate(name) if letter == "."]
     readings = [(name, ""), *((name[:i], name[i + 1 :]) for i in at)]
     known = [each for each in readings if each[0] in recording.signals]
@@ -172,7 +172,7 @@ def _meant(recording: Recording, name: str) -> tuple[str, str]:
 def same_columns(
     recordings: Sequence[Recording], names: Sequence[str], *, gaps: bool = False, irregular: bool = False
 ) -> tuple[list[FloatArray], list[str], list[str]]:
-    """Return signals or channels of several recordings as columns, and names and units of the channels, as `select`.
+    """Return signals or channels of several recordings as columns, with channel names and units; see `select`.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def gather(
     gaps: bool = False,
     irregular: bool = False,
 ) -> FitData:
-    """Return the data of a fit from recordings, after checks.
+    """Return the data of a fit, selected from recordings and checked.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def gather(
 
 
 def channels_of(recording: Recording, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the channels of a recording that signals or channels name, such as ``p.x``, one for each column."""
+    """Return the channels that signal or channel names mean, such as ``p.x``; one for each column."""
     each = [(name, *_meant(recording, name)) for name in names]
     return tuple(
         name if channel or len(recording.channels[signal]) == 1 else f"{signal}.{one}"
@@ -269,7 +269,7 @@ _DEPENDENT = 1e-5  # of the size of an output: what others may leave of it; abov
 
 @dataclass(frozen=True, eq=False)
 class Dependence:
-    """Output that is a linear combination of outputs before it, in all records.
+    """Output that is, in all records, a linear combination of the outputs before it.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ class Dependence:
 
 
 def dependent_outputs(data: FitData) -> tuple[Dependence, ...]:
-    """Return the outputs that combinations of outputs before them explain, up to a hundred-thousandth of their size."""
+    """Return the outputs that are linear combinations of the outputs before them, within a relative 1e-5."""
     rows = [centred_rows(record.outputs) for record in data.records]
     products = np.asarray(sum(each @ each.T for each in rows))
     size = np.sqrt(np.diag(products))
@@ -308,12 +308,12 @@ def dependent_outputs(data: FitData) -> tuple[Dependence, ...]:
 
 
 def moves(values: FloatArray) -> BoolArray:
-    """Return whether each column of samples (n, n_columns), or a single one (n,), is not constant."""
+    """Return whether each column (n, n_columns), or the single signal (n,), varies."""
     return np.array([(column != column[0]).any() for column in np.atleast_2d(values.T)], bool)
 
 
 def column_means(values: FloatArray) -> FloatArray:
-    """Return the mean of each column of samples (n, n_columns): a tenth of the time that numpy takes along columns."""
+    """Return the mean of each column of samples (n, n_columns), ten times as fast as ``numpy.mean``."""
     return np.array([column.mean() for column in values.T])
 
 
@@ -327,7 +327,7 @@ def column_variances(values: FloatArray) -> FloatArray:
 
 
 def centred_rows(values: FloatArray) -> FloatArray:
-    """Return columns of samples (n, n_columns) less their means as the rows of a new array, (n_columns, n)."""
+    """Return the columns of samples (n, n_columns) without their means, as rows of a new array (n_columns, n)."""
     rows = np.array(values.T, order="C")
     rows -= rows.mean(axis=1)[:, None]
     return rows

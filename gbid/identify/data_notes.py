@@ -1,4 +1,4 @@
-"""Notes on data with which a fit converges and is wrong: units, twins, clipping, spikes, early answers."""
+"""Notes on data that spoil a fit unnoticed: wrong units, equal recordings, clipping, spikes, acausal outputs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SAME = 1e-2  # part of an input that no other explains, below which standard de
 
 
 def data_notes(task: FitTask) -> Iterator[str]:
-    """Yield notes on the data of a fit that the fit itself cannot see.
+    """Yield notes on faults of the data that the fit cannot detect.
 
     With the key parameters of the paper in its structure all signals are motions in metres; with those of magnetic
     bearings the positions are, which are the last outputs.
@@ -54,7 +54,7 @@ def data_notes(task: FitTask) -> Iterator[str]:
 
 
 def _units(data: FitData, motions: Sequence[tuple[str, slice]]) -> Iterator[str]:
-    """Yield a note on motions that are no metres, by their size, and by the size of each over that of the first.
+    """Yield a note on motions that are not in metres, judged by their size and by ratios of sizes.
 
     `motions` are the channels of a signal each: "inputs" or "outputs", and their columns.
     """
@@ -79,7 +79,7 @@ def _units(data: FitData, motions: Sequence[tuple[str, slice]]) -> Iterator[str]
 
 
 def _twins(records: Sequence[Record]) -> Iterator[str]:
-    """Yield a note on each recording with the same samples as another."""
+    """Yield a note on each recording whose samples equal another recording's."""
     alike: dict[tuple[int, float], list[Record]] = {}  # else many recordings would be compared with each other
     for record in records:
         alike.setdefault((record.n_samples, float(record.outputs.sum())), []).append(record)
@@ -92,7 +92,7 @@ def _twins(records: Sequence[Record]) -> Iterator[str]:
 
 
 def _clipped(record: Record, names: Sequence[str], counts: BoolArray) -> Iterator[str]:
-    """Yield a note on each channel that stays at its largest or smallest value, the limit of its sensor."""
+    """Yield a note on each channel that stays at its largest or smallest value, as at the limit of a sensor."""
     for name, column in zip(names, chain(record.inputs.T, record.outputs.T), strict=True):
         if limits := stays_at_limits(column[counts]):
             yield DataNote.CLIPPED(
@@ -103,7 +103,7 @@ def _clipped(record: Record, names: Sequence[str], counts: BoolArray) -> Iterato
 
 
 def _spikes(record: Record, names: Sequence[str], counts: BoolArray) -> Iterator[str]:
-    """Yield a note on each output with spikes: far beyond nearly all samples, and alone there."""
+    """Yield a note on each output with spikes: isolated samples far beyond nearly all others."""
     rank, (size, ordered) = int(0.99 * record.n_samples), np.empty((2, record.n_samples))
     for name, column in zip(names, record.outputs.T, strict=True):
         ordered[:] = column
@@ -141,7 +141,7 @@ def _same_inputs(data: FitData) -> Iterator[str]:
 
 
 def _early_answers(record: Record, data: FitData) -> Iterator[str]:
-    """Yield a note where an output answers more than a sample before steps of the inputs."""
+    """Yield a note on an output that responds more than a sample before steps of the inputs."""
     lead = None if record.missing is not None else lead_before(record.inputs, record.outputs)
     if lead:
         yield FitNote.BEFORE_CAUSE(

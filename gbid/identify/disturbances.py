@@ -1,4 +1,4 @@
-"""Trends and hum of the outputs as a fit estimates them: their terms, parameters and regressors."""
+"""Trend and hum of the outputs, estimated by a fit: terms, parameters and regressors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Term:
-    """Term of a trend or a hum: one coefficient of one output.
+    """Term of a trend or hum: one coefficient of one output.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Disturbances that are added to the outputs: polynomials of time, sinusoids, random walks.
+    """Disturbances added to the outputs: polynomials of time, sinusoids, random walks.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Disturbances:
 
     @property
     def n_polynomials(self) -> int:
-        """Largest number of terms of a polynomial."""
+        """Largest number of polynomial terms of an output."""
         return max((trend.n_terms for trend in self.trends), default=0)
 
     @property
@@ -85,7 +85,7 @@ class Disturbances:
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Coefficients of polynomials and sinusoids: those of the first power of all outputs, then of the next."""
+        """Coefficients of polynomials and sinusoids: offsets of all outputs, then slopes, and so on."""
         terms = [
             Term(f"trend{power}_{name}" if power else f"offset_{name}", output, power, power)
             for power in range(self.n_polynomials)
@@ -104,16 +104,16 @@ class Disturbances:
         return (*(term.name for term in self.terms), *map(self.gain_name, self.walking))
 
     def gain_name(self, output: int) -> str:
-        """Return the name of the gain of a random walk."""
+        """Return the name of the gain of an output's random walk."""
         return f"walk_{self.outputs[output]}"
 
     @property
     def walking(self) -> tuple[int, ...]:
-        """Outputs whose offset is a random walk."""
+        """Outputs whose offset follows a random walk."""
         return tuple(i for i, trend in enumerate(self.trends) if trend.random_walk)
 
     def instead_of_walks(self, n_terms: int) -> Disturbances:
-        """Return the disturbances with polynomials of so many terms in place of random walks."""
+        """Return the disturbances with polynomials of a given number of terms in place of random walks."""
         trends = tuple(Trend(n_terms) if trend.random_walk else trend for trend in self.trends)
         return replace(self, trends=trends)
 
@@ -137,7 +137,7 @@ class Disturbances:
         return {**units, **dict.fromkeys(map(self.gain_name, self.walking), "1/s")}
 
     def matrix(self, coefficients: Sequence[ca.SX], n_outputs: int) -> ca.SX:
-        """Return the matrix from regressors to outputs, (n_outputs, n_columns), for coefficients of `terms`."""
+        """Return the matrix from regressors to outputs, (n_outputs, n_columns), from coefficients of `terms`."""
         matrix = ca.SX(n_outputs, self.n_columns)
         for term, coefficient in zip(self.terms, coefficients, strict=True):
             if term.output < n_outputs:  # recordings with more outputs than the structure are refused later
@@ -146,12 +146,12 @@ class Disturbances:
 
     @cached_property
     def places(self) -> tuple[IntArray, IntArray]:
-        """Rows and columns of `terms` in `matrix`."""
+        """Row and column in `matrix` of each of the `terms`."""
         rows, columns = np.array([(term.output, term.column) for term in self.terms], np.int64).reshape(-1, 2).T
         return rows, columns
 
     def closest(self, outputs: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the matrix of the coefficients with the smallest squares, (n_outputs, n_columns).
+        """Return the least-squares coefficients as a matrix from regressors to outputs, (n_outputs, n_columns).
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class Disturbances:
     def with_walks_as_states(
         self, model: LinearModel | NonlinearModel, parameters: Mapping[str, float]
     ) -> LinearModel | NonlinearModel:
-        """Return a model with one more state, the last ones, for each output whose offset is a random walk.
+        """Return a model with an additional last state for each output whose offset follows a random walk.
 
         `parameters` are those of the fit, with the gains of the random walks. Without random walks it is the model.
         """
@@ -179,7 +179,7 @@ class Disturbances:
         return model.with_integrators(list(self.walking), gains) if gains else model
 
     def regressors(self, time: FloatArray) -> FloatArray:
-        """Return the regressors of a record with samples at these times [s], (n_samples, n_columns).
+        """Return the regressors of a record at given times [s], (n_samples, n_columns).
 
         The polynomials are those of Legendre over the record, with one as their highest coefficient: ``1``, ``t - t_m``
         with the middle t_m of the record, and so on [s^k]. They are almost orthogonal, so the offset is the mean of the
@@ -209,7 +209,7 @@ TREND_WORDS = {"none": Trend(0), "offset": Trend(1), "linear": Trend(2), "random
 
 
 def disturbances_of(options: FitOptions, outputs: tuple[str, ...], sample_time: float) -> Disturbances:
-    """Return the disturbances of the outputs for the options `trend` and `hum` of a fit.
+    """Return the disturbances of the outputs that the options `trend` and `hum` of a fit select.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Document of a fit (plain values in SI units, for JSON and pages) and its tables, which render the document."""
+"""Document of a fit (plain values in SI units, for JSON and pages), and the tables made from it."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def parameter_rows(result: Any, truth: Mapping[str, float]) -> list[Row]:
 
 
 def mode_rows(result: Any, truth: LinearModel | None) -> list[Row]:
-    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    """Return natural frequencies and damping factors in ascending order, with standard deviations and true values."""
     modes = result.model.modes()
     known = truth.modes() if truth is not None else []
     true = known if len(known) == len(modes) else [(None, None)] * len(modes)
@@ -110,7 +110,7 @@ def gain_rows(result: Any, truth: LinearModel | None) -> list[Row]:
 
 
 def profile_rows(result: Any) -> list[Row]:
-    """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
+    """Return the intervals of the computed profile likelihoods; an open end is None."""
     return [
         {
             "parameter": name,
@@ -125,7 +125,7 @@ def profile_rows(result: Any) -> list[Row]:
 
 
 def fit_document(result: Any, truth: Mapping[str, float] | None = None, true_model: LinearModel | None = None) -> Row:
-    """Return the document of a fit, with true values beside the estimates where they are known."""
+    """Return the document of a fit, including true values where they are known."""
     truth = truth or {}
     outputs, starts = result.model.output_names, result.multi_start
     return {
@@ -167,7 +167,7 @@ _FAR = 5.0  # smallest deviation from the truth, in standard deviations, that no
 
 
 def summary_lines(document: Row) -> Iterator[Line]:
-    """Yield the lines of the summary: fit percent, weights, residuals, start, status of the solver, and notes.
+    """Yield the lines of the summary: fit percent, weights, residuals, start, solver status, and notes.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def summary_lines(document: Row) -> Iterator[Line]:
 
 
 def residuals_line(document: Row) -> str:
-    """Return the whiteness of each output with its p-value, as text."""
+    """Return the result of the whiteness test of each output, with p-value, as text."""
     level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
 
     def word(p: float | None) -> str:
@@ -213,7 +213,7 @@ def residuals_line(document: Row) -> str:
 
 
 def start_line(document: Row) -> str:
-    """Return the numbers of start values by origin; those of the user are listed by name."""
+    """Return as text how many start values have which origin; start values of the user are listed by name."""
     rows = [row for row in document["parameters"] if not row["fixed"]]
     words = {"data": "from the data", "structure": "from the structure", "user": "given"}
     parts = []
@@ -226,7 +226,7 @@ def start_line(document: Row) -> str:
 
 
 def starts_line(row: Row) -> str:
-    """Return the number of starts that led to the best loss, and the minima with their losses, as text."""
+    """Return as text how many starts reached the smallest loss, and the minima with their losses."""
     spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
     text = (
         f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "
@@ -258,7 +258,7 @@ def fit_tables(document: Row) -> list[Table]:
 
 
 def parameter_table(rows: Sequence[Row], trusted: str) -> Table:
-    """Return the table of estimates, standard deviations and truth; the numbers of a row have one power of ten."""
+    """Return the table of estimates, standard deviations and true values; each row has one power of ten."""
     with_truth = any(row["truth"] is not None for row in rows)
     kind = "not trusted" if trusted == "none" else trusted
     columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({kind})", format=2)]
@@ -297,7 +297,7 @@ def mode_table(rows: Sequence[Row]) -> Table:
 
 
 def gain_table(rows: Sequence[Row]) -> Table:
-    """Return the table of static gains; those that are zero by structure are left out."""
+    """Return the table of static gains, without the gains that are zero by structure."""
     with_truth = any(row["truth"] is not None for row in rows)
     columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
     laid: list[list[Entry]] = []
@@ -323,5 +323,5 @@ def profile_table(rows: Sequence[Row]) -> Table:
 
 
 def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1.0) -> Entry:
-    """Return a cell in a given power of ten, so that the numbers of a row can be compared."""
+    """Return a cell with a given power of ten, so that the numbers of a row are comparable."""
     return None if value is None else Cell(factor * value, engineering(factor * value, digits, exponent))

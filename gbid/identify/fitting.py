@@ -1,4 +1,4 @@
-"""Fit of a structure to recordings: the problem posed, solved, and judged; and its nonlinear programme for CasADi."""
+"""Fit of a structure to recordings: the public functions `fit`, `profile` and `fit_problem`."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ _NO_ERROR = 1e-6  # of the size of an output: errors of simulated data without n
 
 
 def _dependence_notes(task: FitTask, result: FitResult) -> tuple[str, ...]:
-    """Return a note on each dependent output; none where one of them has errors of its own, or none at all."""
+    """Return a note on each dependent output; none if the errors of one of them are independent."""
     notes = []
     for each in task.dependent:
         weights = np.array([each.weights.get(name, 0.0) for name in task.data.output_names])
@@ -118,7 +118,7 @@ def profile(
     structure: AnyStructure | None = None,
     recordings: Measured | None = None,
 ) -> dict[str, Profile]:
-    """Return the profile likelihoods of estimated parameters: which values of each the data do not contradict.
+    """Return profile likelihoods of estimated parameters: the range of values that the data support.
 
     A standard deviation is the curvature of the likelihood at the estimate. It is wrong where the likelihood is no
     parabola: short recordings, a delay near zero, a parameter near a bound, two modes that nearly meet. A profile is
@@ -168,7 +168,7 @@ def profile(
 
 
 def with_profiles(result: FitResult, wanted: Sequence[str]) -> FitResult:
-    """Return a result with the profiles that its options ask for; a fit that did not converge gets none."""
+    """Return a result with the profile likelihoods that its options request; none if the fit did not converge."""
     if not (wanted and result.may_be_profiled):
         return result
     names = [q for q in result.free if wanted == "all" or {q, result.own_names.get(q)} & set(wanted)]
@@ -179,7 +179,7 @@ _SAME_LIKELIHOOD = 0.1  # difference of log-likelihoods: far below what moves th
 
 
 def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Measured) -> FitResult:
-    """Return the fit of a stored result, made again from its estimates."""
+    """Return the fit of a stored result, repeated from its estimates."""
     stated, own_names = {q.name for q in structure.parameters}, result.own_names
     start = {own_names.get(q, q): result.parameters[q] for q in result.free if own_names.get(q, q) in stated}
     in_time, responses = apart(recordings)
@@ -204,7 +204,7 @@ _MOVED = 0.5  # standard deviations by which an estimate moves, from which its i
 
 
 def _means_may_matter(task: FitTask, result: FitResult) -> bool:
-    """Return whether residuals of a linear structure are coloured, and an output has a mean.
+    """Return whether a linear structure has coloured residuals, and an output has a mean.
 
     The mean is what the static gain of the model leaves of it; of an integrator it is the whole.
     """
@@ -226,7 +226,7 @@ def _means_may_matter(task: FitTask, result: FitResult) -> bool:
 def _note_of_means(
     structure: AnyStructure, recordings: Measured, options: FitArguments, result: FitResult
 ) -> tuple[str, ...]:
-    """Return a note where offsets of the outputs, estimated along, are certain and move the estimates."""
+    """Return a note if a second fit with output offsets finds significant offsets that shift the estimates."""
     plain = replace(options, profile=(), progress=None)
     try:
         other = fitted(structure, recordings, replace(plain, trend="offset"))
@@ -252,7 +252,7 @@ def _note_of_means(
 
 @dataclass(frozen=True, eq=False)
 class FitProblem(Brief):
-    """Nonlinear programme of a fit: multiple shooting in scaled unknowns.
+    """Nonlinear programme (NLP) of a fit: multiple shooting in scaled unknowns.
 
     The unknowns are the free parameters and the states at the starts of the shooting windows. Times `scale` they are in
     their own units. The cost is half the logarithm of the criterion. The constraints are the gaps between windows, and
@@ -296,7 +296,7 @@ class FitProblem(Brief):
         return self.functions.value(x)[0]
 
     def constraints(self, x: Any) -> Any:
-        """Return the constraints: gaps, then those of the caller.
+        """Return the constraints: gaps between windows, then constraints of the caller.
 
         Parameters
         ----------
@@ -347,13 +347,13 @@ class FitProblem(Brief):
 
     @property
     def nlp(self) -> dict[str, ca.MX]:
-        """The programme for ``casadi.nlpsol(name, plugin, nlp, {**functions.derivatives, ...})``."""
+        """NLP for ``casadi.nlpsol(name, plugin, nlp, {**functions.derivatives, ...})``."""
         x = ca.MX.sym("x", len(self.names))
         f, g = self.functions.value(x)
         return {"x": x, "f": f, "g": g}
 
     def parameters(self, x: Any) -> dict[str, float]:
-        """Return the parameters by name, in their own units.
+        """Return the parameters by name, in physical units.
 
         Parameters
         ----------
@@ -366,7 +366,7 @@ class FitProblem(Brief):
 
 @takes_options(FitArguments)
 def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitProblem:
-    """Return the nonlinear programme that `gbid.fit` would solve, as functions of CasADi.
+    """Return the nonlinear programme that `gbid.fit` would solve, as CasADi functions.
 
     Options of the solver and of the standard deviations have no effect.
 
@@ -404,7 +404,7 @@ def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArg
 
 
 def _names_of_starts(problem: PosedProblem) -> list[str]:
-    """Return the names of the states at the starts of all windows, in the order of the windows."""
+    """Return names of the start states of all windows, in the order of the windows."""
     shooting, task, named = problem.shooting, problem.task, dict[int, str]()
     for record, first in zip(task.data.records, problem.assembly.record_window, strict=True):
         named |= {window: f"{record.name}[{i}]" for i, window in enumerate(shooting.windows_from(first))}

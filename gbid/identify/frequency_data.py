@@ -1,4 +1,4 @@
-"""Frequency responses as data of a fit: given, from files of analysers, and measured from recordings."""
+"""Frequency responses as data of a fit: given, read from files, or measured from recordings; delay estimates."""
 
 from __future__ import annotations
 
@@ -144,13 +144,13 @@ class FrequencyData(ChannelCurves, Pictured):
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
 
     def table(self) -> Table:
-        """Return the numbers as a table, with a row for each output, input and frequency; `read` reads its CSV."""
+        """Return a table with a row for each output, input and frequency; `read` reads its CSV file."""
         numbers = self._numbers()
         columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in ("frequency_hz", *numbers))]
         return Table(self._title, columns, self._rows(self.frequency_hz, *numbers.values()))
 
     def _numbers(self) -> dict[str, FloatArray]:
-        """Return the columns of the table after that of the frequency, each (n, n_outputs, n_inputs)."""
+        """Return the value columns of the table (all but the frequency), each (n, n_outputs, n_inputs)."""
         G = self.response
         return {"magnitude": np.abs(G), "magnitude_std": self.std, "phase_deg": np.degrees(np.angle(G))}
 
@@ -260,7 +260,7 @@ class FrequencyData(ChannelCurves, Pictured):
     def channels(
         self, inputs: str | Sequence[str], outputs: str | Sequence[str], *, reference: str | Sequence[str] = ()
     ) -> FrequencyData:
-        """Return the responses between these channels, in this order.
+        """Return the responses between given channels, in the given order.
 
         Parameters
         ----------
@@ -330,14 +330,14 @@ _HEADER_LINES = 200  # within which the header line is looked for
 
 
 def _names(line: str) -> tuple[list[str], str]:
-    """Return the names of columns in a line of a CSV file, and the character between them."""
+    """Return the column names in a line of a CSV file, and the delimiter."""
     delimiter = max(",;\t", key=line.count)
     headings = [name_and_unit(cell.strip()) for cell in next(csv.reader([line], delimiter=delimiter), [])]
     return [name.lower() + _SUFFIX.get(unit or "", "") for name, unit in headings], delimiter
 
 
 def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
-    """Return the responses in a CSV file by output and input, and whether their quality is the coherence."""
+    """Return the responses in a CSV file by output and input, and whether their quality is given as coherence."""
     try:
         return _of_text(path, read_text(path).text.splitlines(), needs_spread)
     except DataError:
@@ -347,7 +347,7 @@ def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairR
 
 
 def _of_text(path: Path, lines: Sequence[str], needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
-    """Return the responses in the lines of a CSV file, as `_of_csv`.
+    """Return the responses in the lines of a CSV file; see `_of_csv`.
 
     The header line is the first one with the frequency. Numbers have a decimal comma where no comma is between them.
     """
@@ -384,7 +384,7 @@ def _of_text(path: Path, lines: Sequence[str], needs_spread: bool) -> tuple[dict
 
 
 def _shaped(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return values that broadcast to a shape (n, n_outputs, n_inputs); (n,) and (n, n_outputs) are for all inputs."""
+    """Return values broadcast to (n, n_outputs, n_inputs); values (n,) and (n, n_outputs) hold for all inputs."""
     array = np.asarray(values, float)
     if 0 < array.ndim < len(shape):
         array = array.reshape(*array.shape, *[1] * (len(shape) - array.ndim))
@@ -396,7 +396,7 @@ def _shaped(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:
 
 
 def _places(names: Sequence[str], wanted: Sequence[str], source: str) -> list[int]:
-    """Return the places of channels, or of all channels of a signal, among names."""
+    """Return the positions of channels, or of all channels of a signal, in a list of names."""
     if len(names) == len(wanted) == 1:
         return [0]
     places = list[int]()
@@ -419,7 +419,7 @@ _CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbou
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(FrequencyData):
-    """Frequency response that was estimated from recordings without a model; `gbid.fit` takes it as data.
+    """Frequency response measured from recordings without a model; `gbid.fit` accepts it as data.
 
     Attributes
     ----------
@@ -547,7 +547,7 @@ def _of_segments(
     r: Sequence[FloatArray],
     resolution_hz: float | None,
 ) -> _Estimate:
-    """Return the response from Hann segments that overlap by half."""
+    """Return the frequency response from Hann windows that overlap by half."""
     n_u, n_y, closed = u[0].shape[1], y[0].shape[1], r is not u
     length = _segment_length(recordings, resolution_hz)
     joined = [np.hstack(parts) for parts in zip(u, y, r, strict=True)]
@@ -588,7 +588,7 @@ _FREEDOM = 40  # degrees of freedom of the power of the noise, for which neighbo
 def _of_periods(
     recordings: Sequence[Recording], u: Sequence[FloatArray], y: Sequence[FloatArray], period_s: float
 ) -> _Estimate:
-    """Return the response at the excited lines of a periodic excitation."""
+    """Return the frequency response at the excited lines of a periodic excitation."""
     from scipy.ndimage import uniform_filter1d
 
     h, n_u = recordings[0].sample_time, u[0].shape[1]
@@ -654,7 +654,7 @@ def _segment_length(recordings: Sequence[Recording], resolution_hz: float | None
 
 
 def _spectra(records: Sequence[FloatArray], length: int) -> tuple[ComplexArray, int]:
-    """Return the mean spectral matrices (n_f, n, n) of all segments, and the number of segments."""
+    """Return mean spectral matrices (n_f, n, n) over all segments, and the number of segments."""
     window = np.hanning(length + 1)[:-1, None]
     total = np.zeros((length // 2 + 1, records[0].shape[1], records[0].shape[1]), complex)
     count = 0
@@ -675,7 +675,7 @@ _LEVEL = 4.0  # smallest correlation that counts, in standard deviations: by cha
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate(Brief):
-    """Delay from an input to an output, by correlation.
+    """Delay from an input to an output, estimated by correlation.
 
     Attributes
     ----------
@@ -711,7 +711,7 @@ class DelayEstimate(Brief):
 def estimate_delay(
     recording: Recording, input: str = "u", output: str = "y", *, longest_s: float | None = None
 ) -> DelayEstimate:
-    """Return the delay from an input to an output, by the correlation of the output with the whitened input.
+    """Return the delay from an input to an output, from the correlation of the output with the whitened input.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Fit of a structure to frequency responses alone: its options, its start values, and what its errors tell."""
+"""Fit of a structure to frequency responses alone: options, start values, and tests of the errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ USED = ("inputs", "outputs", "start", "fixed", "bounds", "prior", "max_iteration
 
 
 def refuse_other_options(options: FitArguments) -> None:
-    """Refuse options that have no meaning for frequency responses; raises UsageError with the name of the option."""
+    """Refuse options without meaning for frequency responses; raises UsageError with the name of the option."""
     standard = FitArguments()
     for each in fields(FitArguments):
         given, default = getattr(options, each.name), getattr(standard, each.name)
@@ -56,7 +56,7 @@ def response_start(
     *,
     from_data: bool,
 ) -> Begin:
-    """Return the start values: those stated, others from the steady motion that the responses describe.
+    """Return the start values: stated ones, and others from a simulated steady motion with these responses.
 
     Those of a structure without a method of its own are matched to the responses from many random starts.
 
@@ -89,7 +89,7 @@ def response_start(
 
 
 def steady_motion(data: FrequencyData) -> FitData:
-    """Return one record of the steady motion that responses describe, without noise: each input has lines of its own.
+    """Return a record of steady motion with given frequency responses, without noise; inputs have separate lines.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def steady_motion(data: FrequencyData) -> FitData:
 
 
 class ResponseResiduals(NamedTuple):
-    """Errors of frequency responses at the estimates.
+    """Residuals of frequency responses at the estimates.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class ResponseResiduals(NamedTuple):
 
     @classmethod
     def at(cls, groups: Sequence[ResponseGroup], theta: FloatArray) -> ResponseResiduals:
-        """Return the residuals for values of the parameters of the problem, which are all free."""
+        """Return the residuals at given values of the free parameters."""
         pairs = [(each, each.errors(theta)[0]) for each in groups]
         squares = sum(np.einsum("fyu,fzu->yz", e, e.conj()).real for _, e in pairs)
         cost, count = sum(each.sums(theta).cost for each in groups), sum(each.n_numbers for each in groups)
@@ -156,7 +156,7 @@ class ResponseResiduals(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Note on errors that are larger than the standard deviations say."""
+        """Note on residuals that are larger than the standard deviations state."""
         p = f"the standard deviations of the responses say (probability {float(self.p_value.min()):.1g})"
         if self.follow:
             what = "the structure leaves something out: errors of neighbouring frequencies follow each other"
@@ -165,7 +165,7 @@ class ResponseResiduals(NamedTuple):
 
 
 def _tests(groups: Sequence[tuple[ResponseGroup, ComplexArray]], n_free: int) -> tuple[FloatArray, bool]:
-    """Return for each output the probability of larger errors, and whether errors of neighbours follow each other."""
+    """Return for each output the p-value of its errors, and whether errors of neighbouring lines are correlated."""
     n_y = len(groups[0][0].data.output_names)
     squares, freedom, products, chance = np.zeros(n_y), np.zeros(n_y), 0.0, 0.0
     for each, error in groups:

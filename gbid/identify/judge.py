@@ -1,4 +1,4 @@
-"""Judgement of a solved problem: estimates, their uncertainty, the status, and checks whose notes say what is amiss."""
+"""Assessment of a solved problem: estimates, their uncertainty, the status, and checks that yield notes."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def judge(optimum: Optimum) -> FitResult:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Errors of a fit at its estimates, and what they are.
+    """Residuals of a fit at its estimates, with fit percent and whiteness test.
 
     Attributes
     ----------
@@ -158,19 +158,19 @@ class Residuals:
 
     @property
     def sound(self) -> bool:
-        """Whether the errors are those of a model that explains something."""
+        """Whether the errors are finite and smaller than those of a constant."""
         return self.finite and not self.worse_than_constant
 
     @property
     def coloured(self) -> bool:
-        """Whether standard deviations for independent errors are not to be trusted."""
+        """Whether standard deviations for independent errors are invalid."""
         if self.responses is not None and self.responses.doubtful:
             return True
         return not (self.sound and self.whiteness.accepted[self.noisy].all())
 
 
 def residuals_of(optimum: Optimum) -> Residuals:
-    """Return what the model leaves unexplained at the optimum."""
+    """Return the residuals of a fit at its optimum."""
     problem, shooting, solution = optimum.problem, optimum.shooting, optimum.solution
     windows = problem.assembly.record_window
     theta, starts = shooting.unpack(solution.unknowns)
@@ -231,7 +231,7 @@ def _of_responses(optimum: Optimum, estimate: Estimate) -> Residuals:
 
 
 def _counted_outputs(record: Record, counted: BoolArray) -> FloatArray:
-    """Return the outputs of the samples that count, with their mean where they are missing."""
+    """Return the outputs at the samples in the cost; a missing output is replaced by the mean."""
     if record.missing is None:
         return record.outputs if counted.all() else record.outputs.compress(counted, axis=0)
     measured = np.where(record.missing, np.nan, record.outputs)[counted]
@@ -246,7 +246,7 @@ def _fit_percent(errors: FloatArray, centred: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Optimum of a fit with its residuals, covariance, bias, model and status.
+    """Optimum of a fit with residuals, covariance, bias, model and status, each computed once.
 
     Attributes
     ----------
@@ -258,12 +258,12 @@ class Judged:
 
     @cached_property
     def residuals(self) -> Residuals:
-        """Errors at the estimates."""
+        """Residuals at the estimates."""
         return residuals_of(self.optimum)
 
     @property
     def estimate(self) -> Estimate:
-        """Estimates, with the problem that weighs the errors."""
+        """Estimates, with the problem whose weights the errors have."""
         return self.residuals.estimate
 
     @cached_property
@@ -273,17 +273,17 @@ class Judged:
 
     @property
     def error_models(self) -> tuple[ErrorModel, ...]:
-        """Models of the errors that weigh them; none without ``errors="ar"``."""
+        """Autoregressive models that weight the errors; none without ``errors="ar"``."""
         return tuple(each.model for each in self.optimum.weighted.filters) if self.optimum.weighted else ()
 
     @property
     def kind(self) -> StdKind:
-        """Covariance that counts."""
+        """Kind of covariance that the fit trusts."""
         return "robust" if self.residuals.coloured else "white"
 
     @cached_property
     def on_bound(self) -> BoolArray:
-        """Free parameters on a bound, (n_theta,): the data push them there, beyond what is left of the last step."""
+        """Free parameters held by a bound, (n_theta,): without the bound the data would move them on."""
         optimum, at = self.optimum, self.estimate
         none = np.zeros(len(at.theta), bool)
         if not np.isfinite(self.residuals.products).all():
@@ -296,7 +296,7 @@ class Judged:
         return np.asarray(near & (force * np.sqrt(np.diag(self._spread_with(none).white)) > TOLERANCES.rest))
 
     def _spread_with(self, held: BoolArray, *, coloured: bool = False) -> Covariance:
-        """Return the covariance with some parameters known; nan where it cannot be computed."""
+        """Return the covariance with some parameters fixed; nan where it cannot be computed."""
         at, products = self.estimate, self.residuals.products
         try:
             if np.isfinite(products).all():
@@ -308,7 +308,7 @@ class Judged:
 
     @cached_property
     def meeting(self) -> tuple[Covariance, list[tuple[int, int]]]:
-        """Covariance from the noise alone, and pairs of exchangeable parameters that meet.
+        """Covariance from the noise alone, and coalescent pairs of exchangeable parameters.
 
         Where two such parameters are equal, nothing changes when they part by little: their difference has no
         information, or near there less than it needs. It is known nevertheless, for there what they can describe ends.
@@ -348,7 +348,7 @@ class Judged:
 
     @cached_property
     def bias(self) -> Bias:
-        """What the estimates are off by beside the noise."""
+        """Systematic errors of the estimates, beside the noise."""
         residuals, noisy = self.residuals, self.residuals.noisy
         if residuals.responses is not None or not (residuals.sound and self.optimum.solution.status.success):
             return Bias()
@@ -358,7 +358,7 @@ class Judged:
 
     @property
     def left_out(self) -> bool:
-        """Whether the structure leaves something out, so that no standard deviation holds."""
+        """Whether the structure is incomplete, so that no standard deviation is valid."""
         responses = self.residuals.responses
         if responses is None:
             return self.bias.left_out
@@ -366,7 +366,7 @@ class Judged:
 
     @cached_property
     def spread(self) -> Covariance:
-        """Covariance of the estimates, widened by what delay, hold and other maxima move."""
+        """Covariance of the estimates, widened by the shifts from delay, hold and other maxima."""
         spread, bias, weighted = self.of_noise, self.bias, self.optimum.weighted
         if bias.moved is not None and bias.widens:
             spread = spread.widened(bias.moved)
@@ -376,12 +376,12 @@ class Judged:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance that counts, (n_theta, n_theta)."""
+        """Covariance that the fit trusts, (n_theta, n_theta)."""
         return self.spread.of(self.kind)
 
     @cached_property
     def local_names(self) -> dict[str, dict[str, str]]:
-        """Full names of the parameters that are local to a recording, by its name and theirs."""
+        """Full names of local parameters, by recording and name in the structure."""
         records = zip(self.optimum.problem.task.data.records, self.optimum.problem.assembly.record_names, strict=True)
         local = {r.name: {short: full for short, full in names.items() if short != full} for r, names in records}
         return {name: names for name, names in local.items() if names}
@@ -399,7 +399,7 @@ class Judged:
 
     @cached_property
     def std(self) -> dict[str, float]:
-        """Standard deviation of each parameter: zero for a fixed one, nan for one that is not determined."""
+        """Standard deviation of each parameter: zero if fixed, nan if not determined."""
         std = dict.fromkeys(self.parameters, np.nan) | {q.name: 0.0 for q in self.optimum.problem.parameters if q.fixed}
         known = np.where(self.unknown, np.nan, np.sqrt(np.diag(self.covariance)))
         std |= dict(zip(self.free, known.tolist(), strict=True))
@@ -431,7 +431,7 @@ class Judged:
 
     @cached_property
     def model_spreads(self) -> ModelSpreads:
-        """Slopes and standard deviations of the model."""
+        """Derivatives and standard deviations of the model."""
         structure = self.optimum.problem.task.structure
         scheduled, tie = kind_of(structure).scheduled, None
         if scheduled:
@@ -441,7 +441,7 @@ class Judged:
 
     @cached_property
     def scores(self) -> dict[str, float]:
-        """Loss, likelihood and criteria for the number of parameters: fields of `FitDiagnosis`."""
+        """Loss, likelihood and information criteria: fields of `FitDiagnosis`."""
         at, mean_square, responses = self.estimate, self.residuals.mean_square, self.residuals.responses
         if responses is not None:
             loss, likelihood, k = responses.loss, responses.log_likelihood, len(at.theta)
@@ -465,17 +465,17 @@ class Judged:
 
     @cached_property
     def at_edge(self) -> bool:
-        """Whether the disturbance gain makes a predictor unstable or almost so."""
+        """Whether the disturbance gain makes a predictor unstable or nearly unstable."""
         return self.residuals.finite and any(self.optimum.shooting.parts_at_edge(self.estimate.theta))
 
     @cached_property
     def shaft(self) -> tuple[str, ...]:
-        """Notes on modes that are the rotation of the shaft."""
+        """Notes on modes at the frequency of the shaft."""
         return tuple(shaft_as_mode(self))
 
     @cached_property
     def status(self) -> FitStatus:
-        """Status of the fit, which is a success only for an estimate: the solver tells of its own optimality alone."""
+        """Status of the fit: a success of the solver is no success of the fit if there is no valid estimate."""
         status = self.optimum.solution.status
         if not self.residuals.finite:
             return FitStatus.OVERFLOW
@@ -492,7 +492,7 @@ class Judged:
 
     @cached_property
     def integration_shift(self) -> FloatArray | None:
-        """Shift of the estimates with half the step of the integrator, in standard deviations, (n_theta,)."""
+        """Shift of the estimates when the integrator step is halved, in standard deviations, (n_theta,)."""
         shift = self.optimum.integration_shift
         if shift is None:
             return None
@@ -502,7 +502,7 @@ class Judged:
 
     @property
     def profiler(self) -> Profiler | None:
-        """Computer of profiles of the cost; none for a model of the errors."""
+        """Object that computes profile likelihoods; None for a fit with error models."""
         if self.optimum.weighted:
             return None
         return Profiler(
@@ -517,7 +517,7 @@ class Judged:
         )
 
     def origin(self, name: str) -> str:
-        """Return where the start value of a parameter comes from: a start other than the task's was found in data."""
+        """Return the origin of a parameter's start value; "data" if it differs from the start values of the task."""
         begin = self.optimum.problem.task.begin
         if name not in begin.origin:
             return "structure"
@@ -541,13 +541,13 @@ _APART = 10.0  # times the resolution between two multiples: else a mode is near
 
 
 def parameters_on_bound(judged: Judged) -> Iterator[str]:
-    """Yield a note on each parameter on a bound."""
+    """Yield a note on each parameter that a bound holds."""
     for i in np.flatnonzero(judged.on_bound):
         yield FitNote.ON_BOUND(f"{judged.free[i]} lies on a bound: no standard deviation")
 
 
 def not_determined(judged: Judged) -> Iterator[str]:
-    """Yield notes on directions without information: their parameters, and what is determined."""
+    """Yield notes on parameter directions without information, and on the combinations that are determined."""
     directions, names = judged.of_noise.undetermined, np.array(judged.free)
     if len(directions) > _MOST_DIRECTIONS:
         text = f"the information is singular in {len(directions)} directions: no standard deviations"
@@ -564,7 +564,7 @@ def not_determined(judged: Judged) -> Iterator[str]:
 
 
 def not_white(judged: Judged) -> Iterator[str]:
-    """Yield a note on coloured residuals, with the advice to weight the errors by their model where that is worth it.
+    """Yield a note on coloured residuals, with the advice to weight the errors by a model where it is worthwhile.
 
     It is where the intervals, by their geometric mean over the parameters, are narrower by a fifth or more: recordings
     half as long again give as much.
@@ -595,7 +595,7 @@ def no_minimum(judged: Judged) -> Iterator[str]:
 
 
 def not_used(judged: Judged) -> Iterator[str]:
-    """Yield notes on parameters that the focus does not use, on outliers that count less, and on the assembly."""
+    """Yield notes on parameters without effect for the focus, on downweighted outliers, and on the assembly."""
     optimum, assembly = judged.optimum, judged.optimum.problem.assembly
     if assembly.unused:
         yield FitNote.NOT_USED(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}")
@@ -608,7 +608,7 @@ def not_used(judged: Judged) -> Iterator[str]:
 
 
 def sign_open(judged: Judged) -> Iterable[str]:
-    """Return notes on parameters whose sign is open; a disturbance gain, trend or coefficient may well be zero."""
+    """Return notes on parameters of undetermined sign; disturbance gains, trends and coefficients may be zero."""
     optimum, free = judged.optimum, judged.free
     structure, short = optimum.problem.task.structure, optimum.problem.assembly.own_names
     known = {q.name for q in structure.parameters}
@@ -621,7 +621,7 @@ def sign_open(judged: Judged) -> Iterable[str]:
 
 
 def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
-    """Return notes on the directions whose standard deviation for white errors exceeds the size of the parameters.
+    """Return notes on directions whose standard deviation (white errors) exceeds the size of the parameters.
 
     Parameters
     ----------
@@ -675,7 +675,7 @@ def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[
 
 
 def far_below_white(judged: Judged) -> Iterator[str]:
-    """Yield a note on parameters with a robust standard deviation far below that for white errors."""
+    """Yield a note on parameters whose robust standard deviation is far below the one for white errors."""
     spread = judged.of_noise
     white, robust = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (spread.white, spread.robust))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -690,7 +690,7 @@ def far_below_white(judged: Judged) -> Iterator[str]:
 
 
 def biased(judged: Judged) -> Iterator[str]:
-    """Yield notes on what the estimates are off by beside the noise."""
+    """Yield notes on systematic errors of the estimates."""
     residuals = judged.residuals
     if residuals.responses is not None and not residuals.whiteness.accepted.all():
         yield from residuals.responses.notes
@@ -698,7 +698,7 @@ def biased(judged: Judged) -> Iterator[str]:
 
 
 def low_coverage(judged: Judged) -> Iterator[str]:
-    """Yield notes on intervals that contain the truth less often than they state; see `may_cover_less`."""
+    """Yield notes on confidence intervals with too low coverage; see `may_cover_less`."""
     residuals, data, model = judged.residuals, judged.optimum.problem.task.data, judged.model
     if residuals.responses is None:
         # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
@@ -717,7 +717,7 @@ def may_cover_less(
     *,
     gain: bool = False,
 ) -> list[str]:
-    """Return a note on intervals that contain the truth less often than they state.
+    """Return a note on confidence intervals that contain the truth less often than they state.
 
     Parameters
     ----------
@@ -775,7 +775,7 @@ def may_cover_less(
 
 
 def predictor_at_edge(judged: Judged) -> Iterator[str]:
-    """Yield a note on a predictor that is almost unstable."""
+    """Yield a note on a predictor that is nearly unstable."""
     if judged.at_edge:
         yield FitNote.PREDICTOR_AT_EDGE(
             "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
@@ -784,14 +784,14 @@ def predictor_at_edge(judged: Judged) -> Iterator[str]:
 
 
 def poles_meet(judged: Judged) -> Iterator[str]:
-    """Yield a note on each pair of exchangeable parameters that meet."""
+    """Yield a note on each coalescent pair of exchangeable parameters."""
     for i, j in judged.meeting[1]:
         text = f"{judged.free[i]} and {judged.free[j]} meet: complex poles may have a lower loss"
         yield FitNote.POLES_MEET(f"{text}; fit PiezoPair(poles='any')")
 
 
 def shaft_as_mode(judged: Judged) -> Iterator[str]:
-    """Yield a note on each mode that is the rotation of the shaft: run-out or unbalance, taken for motion of a mode.
+    """Yield a note on each mode at the shaft frequency: run-out or unbalance, mistaken for a vibration.
 
     Notes
     -----
@@ -820,7 +820,7 @@ def shaft_as_mode(judged: Judged) -> Iterator[str]:
 
 
 def before_the_optimum(judged: Judged) -> Iterator[str]:
-    """Yield the notes of start, initial states and solver, and one on points where the model overflows."""
+    """Yield the notes of start values, initial states and solver, and a note on overflows of the model."""
     optimum, task = judged.optimum, judged.optimum.problem.task
     yield from (*optimum.notes, *task.begin.notes, *task.states.notes)
     if optimum.solution.overflows:
@@ -829,7 +829,7 @@ def before_the_optimum(judged: Judged) -> Iterator[str]:
 
 
 def integration(judged: Judged) -> Iterator[str]:
-    """Yield a note on estimates that the step of the integrator, or the length of the pieces, moves."""
+    """Yield a note on estimates that depend on the integrator step or on the length of the pieces."""
     shift = judged.integration_shift
     if shift is None or not judged.status.success:
         return

@@ -1,4 +1,4 @@
-"""Fits from several starts, and the distinct minima at which they end."""
+"""Fits from several starts, and the distinct minima that they reach."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SAME_RELATIVE = 1e-4  # the same, as a part of the parameter
 
 @dataclass(frozen=True)
 class Minimum:
-    """Point at which one fit or several ended.
+    """Minimum that one or several fits reached.
 
     Attributes
     ----------
@@ -85,11 +85,11 @@ class MultiStart(Brief):
 
     @property
     def success(self) -> bool:
-        """Whether the best fit is one; see `FitResult.success`."""
+        """Whether the best fit is a success; see `FitResult.success`."""
         return self.best.success
 
     def _repr_html_(self) -> str:
-        """Return the description with that of the best fit, for a notebook."""
+        """Return the HTML description, including the best fit's, for a notebook."""
         return self._brief().html() + self.best._repr_html_()
 
     def _brief(self) -> Description:
@@ -110,7 +110,7 @@ def fit_multistart(
     reach: Positive = 0.5,
     **options: Any,
 ) -> MultiStart:
-    """Return fits from the start of the structure, from one found in the data, and from random starts.
+    """Return fits from the structure's start values, from start values found in the data, and from random ones.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def fit_multistart(
 
 
 def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:
-    """Return the results of numbered starts; those that are missing failed."""
+    """Return the results of numbered starts; starts without a result failed."""
     losses = np.array([results[i].loss if i in results else np.nan for i in range(starts)])
     converged = np.array([i in results and results[i].success for i in range(starts)])
     finite = np.isfinite(losses)
@@ -189,7 +189,7 @@ def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiS
 
 
 def distinct_minima(results: Mapping[int, FitResult]) -> tuple[Minimum, ...]:
-    """Return the distinct points at which fits of one structure to the same data ended, by rising loss.
+    """Return the distinct minima of fits of one structure to the same data, by ascending loss.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def distinct_minima(results: Mapping[int, FitResult]) -> tuple[Minimum, ...]:
 
 
 def _same_point(one: FitResult, other: FitResult) -> bool:
-    """Return whether two fits ended at the same loss and the same values of the parameters that are determined."""
+    """Return whether two fits have equal loss and equal values of the determined parameters."""
     if abs(one.loss - other.loss) > _SAME_LOSS * abs(one.loss):
         return False
     for name in one.free:

@@ -1,4 +1,4 @@
-"""What a linear structure may leave out, where residuals follow an input: a step of each of several alternatives."""
+"""Search for an effect that a linear structure omits, where residuals follow an input: one step for each candidate."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Alternative = tuple[str, Callable[[float], FitTask], float]
 
 
 def omitted_effect(optimum: Optimum) -> str:
-    """Return which alternative lowers the loss of a fit most, and by how much; empty where none does beyond chance.
+    """Return the candidate effect that lowers the loss most, and by how much; empty if none does beyond chance.
 
     Alternatives are the other hold, a delay, lags of first and second order, a feed-through, an offset and a cubic
     force. The parameters follow by steps of Gauss and Newton: the loss is that of a fit with the alternative, nearly.
@@ -55,7 +55,7 @@ def omitted_effect(optimum: Optimum) -> str:
 
 
 def _least(optimum: Optimum, here: float, alternative: Alternative, steps: int) -> float:
-    """Return the loss with an alternative; with one of unknown size the least value of a parabola, from `here`."""
+    """Return the loss with a candidate effect; for an unknown size the minimum of a parabola through `here`."""
     _, changed, size = alternative
     loss = _loss(optimum, changed(size), steps)
     if not size:
@@ -66,7 +66,7 @@ def _least(optimum: Optimum, here: float, alternative: Alternative, steps: int) 
 
 
 def _loss(optimum: Optimum, task: FitTask, steps: int) -> float:
-    """Return the loss of a task near the optimum of another one, over the power of the outputs."""
+    """Return the loss of a task, in relation to the outputs' power, after steps from another task's optimum."""
     posed = optimum.problem
     given = optimum.shooting if optimum.reweighted is None else optimum.reweighted.problem
     _, _, assembly = task.assembled(posed.start, posed.parameters, posed.window)
@@ -87,7 +87,7 @@ def _loss(optimum: Optimum, task: FitTask, steps: int) -> float:
 
 
 def _alternatives(task: FitTask, structure: Structure) -> Iterator[Alternative]:
-    """Yield each alternative: its text, its task for a change of some size, and that size, zero where it is known."""
+    """Yield the candidate effects: text, task as a function of size, and a trial size (zero if known)."""
     data, h = task.data, task.data.sample_time
     holds = check_holds(task.hold, len(data.input_names))
     other: tuple[Hold, ...] = tuple("foh" if hold == "zoh" else "zoh" for hold in holds)
@@ -119,7 +119,7 @@ def _sizes(data: FitData, side: str) -> FloatArray:
 
 
 def _with_inputs(task: FitTask, changed: Callable[[FloatArray, Hold], FloatArray]) -> FitTask:
-    """Return a task with each input changed, by its samples and its hold."""
+    """Return a task with modified inputs; the change acts on samples and hold."""
     holds = check_holds(task.hold, len(task.data.input_names))
     records = (
         replace(r, inputs=np.stack([changed(u, hold) for u, hold in zip(r.inputs.T, holds, strict=True)], axis=1))
@@ -129,7 +129,7 @@ def _with_inputs(task: FitTask, changed: Callable[[FloatArray, Hold], FloatArray
 
 
 def _less(task: FitTask, output: int, source: int | None, gain: float) -> FitTask:
-    """Return a task with an output less a gain times an input, or less the gain itself."""
+    """Return a task with one output reduced by a gain times an input, or by a constant."""
     records = []
     for record in task.data.records:
         outputs = record.outputs.copy()
@@ -144,7 +144,7 @@ def _with_cubes(task: FitTask, gains: FloatArray) -> FitTask:
 
 
 def _delayed(task: FitTask, full: Structure, samples: float, _: float) -> FitTask:
-    """Return a task whose inputs act later by so many samples: exactly, but in an advance by part of a sample."""
+    """Return a task with inputs delayed by a number of samples; a fractional advance is interpolated."""
     p, m = symbolic_matrices(full)
     if samples < 0 or m.feedback is not None:
         k = np.arange(max(record.n_samples for record in task.data.records))
@@ -163,7 +163,7 @@ def _delayed(task: FitTask, full: Structure, samples: float, _: float) -> FitTas
 
 
 def _filtered(task: FitTask, samples: float, order: int, _: float) -> FitTask:
-    """Return a task whose inputs pass a Butterworth filter with a time constant of so many samples.
+    """Return a task with inputs through a Butterworth filter with a time constant in samples.
 
     They are on straight lines with the means of each sample, which matter to a model that is slow against it.
     """

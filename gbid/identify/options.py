@@ -1,4 +1,4 @@
-"""Options of a fit: arguments of `gbid.fit`, keys of its section in the YAML, stored with the result, content key."""
+"""Options of a fit: arguments of `gbid.fit`, keys of a YAML section, stored with the result."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Constraints = Callable[[Any, Any], Sequence[tuple[float, Any, float]]]
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """Options of a fit.
+    """Options of a fit that are stored with its result.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class FitOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FitArguments(FitOptions):
-    """Options of a call of `gbid.fit`: those of `FitOptions`, which are stored, and functions, which are not.
+    """Options of a call of `gbid.fit`: the stored `FitOptions`, and functions, which are not stored.
 
     Attributes
     ----------
@@ -165,14 +165,14 @@ class FitArguments(FitOptions):
             raise UsageError("extra_cost and constraints are for errors = 'white'; give priors and bounds")
 
     def settled(self, **choices: Any) -> SettledOptions:
-        """Return the options without the functions, with the choices of the fit."""
+        """Return the options without functions, with the choices that the fit made."""
         values = {field.name: getattr(self, field.name) for field in fields(FitOptions)} | choices
         return SettledOptions(**{name: plain(value) for name, value in values.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettledOptions(FitOptions):
-    """Options of a fit with the choices that it made itself; they are stored with its result.
+    """Options of a fit with the choices that the fit made; stored with its result.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The problem of a fit: data gathered, start values found, the shooting problem posed from them, and solved."""
+"""Problem of a fit: data and start values gathered, the shooting problem posed and solved."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ Measured = Recordings | FrequencyData | Sequence[Recording | FrequencyData]
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """Structure, data and options of a fit, which all attempts at it share.
+    """Structure, data and options of a fit, shared by all attempts.
 
     Attributes
     ----------
@@ -100,12 +100,12 @@ class FitTask:
 
     @property
     def loss(self) -> RobustLoss | None:
-        """Robust loss; None for squared errors."""
+        """Robust loss function; None for squared errors."""
         options = self.options
         return robust_loss(options, len(self.data.output_names)) if options.robust else None
 
     def problem(self, start: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> PosedProblem:
-        """Return the shooting problem for start values by the structure's names, in windows of this many samples.
+        """Return the shooting problem for start values by structure names, in windows of a given number of samples.
 
         `gain_held` fixes the parameters on which only the disturbance gain depends.
         """
@@ -124,7 +124,7 @@ class FitTask:
         return PosedProblem(self, start, window, parameters, assembly, full, shooting, unknowns)
 
     def cut_anew(self, problem: PosedProblem, unknowns: FloatArray) -> PosedProblem:
-        """Return a problem of another task with the courses of this one, at the same point and with the same scales.
+        """Return a problem of another task with this task's scheduling signals, at the same point and scales.
 
         Windows begin where the model passes at the given `unknowns`.
         """
@@ -139,7 +139,7 @@ class FitTask:
     def assembled(
         self, start: Mapping[str, float], parameters: tuple[Parameter, ...], window: int | None
     ) -> tuple[AnyStructure, Mapping[str, float], Assembly]:
-        """Return the equations with constant parameters, their start values, and the assembly."""
+        """Return the equations with constant parameters, their start values, and the assembled data."""
         structure, begin, ties, stated = self.structure, start, None, parameters
         if self.courses is not None and (scheduled := kind_of(structure).scheduled):
             structure, stated, begin, ties = tied_equations(scheduled, parameters, start, self.courses)
@@ -164,7 +164,7 @@ class FitTask:
 
 @dataclass(frozen=True, eq=False)
 class PosedProblem:
-    """A problem posed for the solver, from one start and in windows of one length.
+    """Shooting problem posed from one start, with windows of one length.
 
     Attributes
     ----------
@@ -197,14 +197,14 @@ class PosedProblem:
 
 
 def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
-    """Return the recordings and the frequency responses of what a fit was given."""
+    """Return the recordings, and the frequency responses, among the data given to a fit."""
     several = [measured] if isinstance(measured, Recording | FrequencyData) else list(measured)
     responses = [each for each in several if isinstance(each, FrequencyData)]
     return [each for each in several if not isinstance(each, FrequencyData)], responses
 
 
 def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *, all_outputs: bool = False) -> FitTask:
-    """Return the task of a fit: names and data checked, start values found.
+    """Return the task of a fit: names and data checked, start values determined.
 
     Outputs that are combinations of others are left out, but with `all_outputs`.
 
@@ -273,7 +273,7 @@ def _reduced(
     dependent: Sequence[Dependence],
     recording: Recording,
 ) -> tuple[AnyStructure, tuple[Parameter, ...], FitData, FitArguments] | None:
-    """Return structure, parameters, data and options without the dependent outputs.
+    """Return structure, parameters, data and options without dependent outputs.
 
     The disturbance gains of these outputs are zero. None where another parameter acts on them alone.
     """
@@ -308,7 +308,7 @@ def _check_numbers(
     disturbances: Disturbances,
     responses: Sequence[FrequencyData],
 ) -> None:
-    """Refuse data with no more measured values than there are unknowns, over all recordings."""
+    """Refuse data with no more measured values than unknowns, over all recordings."""
     left_out, local, records = options.left_out or {}, options.local or {}, data.records
     numbers = len(options.prior or {}) + sum(2 * each.response.size for each in responses)
     for record in records:
@@ -335,7 +335,7 @@ def _of_responses(
     options: FitArguments,
     given: Set[str],
 ) -> FitTask:
-    """Return the task of a fit to frequency responses alone: without samples, windows and initial states."""
+    """Return the task of a fit to frequency responses alone: no samples, windows or initial states."""
     refuse_other_options(options)
     names = responses[0].input_names, responses[0].output_names
     data = FitData((), np.nan, *names, ("",) * len(names[1]))
@@ -349,7 +349,7 @@ def _of_responses(
 
 
 def with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tuple[Parameter, ...]:
-    """Return the parameters with the start values, fixed values and bounds of the caller."""
+    """Return the parameters with start values, fixed values and bounds of the caller."""
     start = {} if isinstance(options.start, str) else options.start or {}
     fixed, bounds = options.fixed or {}, options.bounds or {}
     profiled = () if options.profile == "all" else options.profile
@@ -405,7 +405,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Search:
-    """Limits of what follows a first solution: other minima, finer pieces, missing outputs, gaps.
+    """Limits of the refinements after a first solution: other minima, shorter pieces, missing outputs, gaps.
 
     Attributes
     ----------
@@ -510,7 +510,7 @@ def minimise(problem: PosedProblem) -> Optimum:
 
 
 def _nearer(shooting: Shooting, start: FloatArray) -> FloatArray:
-    """Return the start of a fit to responses, or the solution with wide errors, whichever has the lower cost."""
+    """Return the better start of a fit to responses: the given one, or a solution with large standard deviations."""
     wide = replace(shooting, responses=tuple(replace(each, relative=SEARCH.wide) for each in shooting.responses))
     points = start, solve(wide, start).unknowns
     return min(points, key=lambda unknowns: shooting.at(unknowns).cost)
@@ -519,7 +519,7 @@ def _nearer(shooting: Shooting, start: FloatArray) -> FloatArray:
 def _with_kalman_gains(
     shooting: Shooting, solution: Solution, run: Callable[[FloatArray, Shooting], Solution]
 ) -> tuple[Shooting, Solution]:
-    """Return problem and solution with the gains of the Kalman filter of the estimates after each gap.
+    """Return problem and solution with Kalman gains after each gap, computed for the estimates.
 
     Each round takes gains and variances of the estimates before. At rest the predictions are those of the model, so the
     estimates are consistent; what the gains after gaps would tell of the noise in addition is not used.
@@ -561,7 +561,7 @@ def _with_kalman_gains(
 def _cut_finely(
     problem: PosedProblem, solution: Solution, courses: Courses
 ) -> tuple[PosedProblem, Solution, FloatArray | None]:
-    """Return problem and solution with pieces of the courses so short that shorter ones do not move the estimates.
+    """Return problem and solution with pieces so short that shorter pieces do not shift the estimates.
 
     Returns
     -------
@@ -593,7 +593,7 @@ def _cut_finely(
 
 
 def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> tuple[FloatArray, float]:
-    """Return how far the estimates move with other pieces, (n_theta,), and the same in standard deviations."""
+    """Return the shift of the estimates with other pieces, (n_theta,), and its size in standard deviations."""
     here, at = problem.shooting, solution.unknowns
     other = replace(problem.task, courses=courses).cut_anew(problem, at)
     shooting, start, (lower, upper) = other.shooting, other.unknowns, other.shooting.box
@@ -612,7 +612,7 @@ def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> 
 
 
 def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, first: float) -> Solution:
-    """Return a solution with a status for its whole records: gaps within the tolerance grow in a sensitive motion.
+    """Return a solution with a status checked on whole records: small gaps grow in a sensitive motion.
 
     What did not converge has closed gaps, so that its loss is that of a simulation. It is no worse than the start,
     whose cost in windows is `first`: simulated it costs no less.
@@ -649,12 +649,12 @@ SUSPECTED = FitNote.OTHER_MINIMUM(
 
 
 def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
-    """Return whether neighbouring errors are strongly correlated, as at a minimum that is not the lowest."""
+    """Return whether neighbouring errors are strongly correlated, a sign of a local minimum."""
     return not neighbours(problem, unknowns) < SEARCH.strongly
 
 
 def lower_elsewhere(problem: Shooting, unknowns: FloatArray) -> FloatArray | None:
-    """Return a point of lower cost with another disturbance gain and all else as it is.
+    """Search the disturbance gain on a coarse grid with all other unknowns fixed; return a lower point, or None.
 
     Each gain is plus or minus the largest of them: sixteen points for the four gains of a bearing.
 

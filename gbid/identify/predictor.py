@@ -1,4 +1,4 @@
-"""Predictor of a linear structure in discrete time, with derivatives by its parameters."""
+"""Predictor of a linear structure in discrete time, with derivatives with respect to its parameters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from gbid.structure.parameter import once
 
 @dataclass(frozen=True, eq=False)
 class GeneralPredictor(ABC):
-    """Predictor of a structure for one set of free parameters, sample time, hold and focus.
+    """Base of predictors: a structure with given free parameters, sample time, hold and focus.
 
     Attributes
     ----------
@@ -86,12 +86,12 @@ class GeneralPredictor(ABC):
 
     @property
     def _lead(self) -> list[int]:
-        """Prompt inputs whose next sample is also a regressor."""
+        """Inputs with first-order hold, whose next sample is also a regressor."""
         return [i for i in self.prompt if self.holds[i] == "foh"]
 
     @property
     def _has_impulse(self) -> bool:
-        """Whether an impulse is a regressor: for released states, and with zeros as its columns for a free decay."""
+        """Whether an impulse is a regressor: for parameter-dependent initial states."""
         driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.terms
         return self.released or not driven
 
@@ -116,7 +116,7 @@ class GeneralPredictor(ABC):
         edges: Iterable[tuple[int, int]],
         time: FloatArray | None = None,
     ) -> Iterator[FloatArray]:
-        """Yield the rows of `regressors` from a first to before a last one, for each pair of these."""
+        """Yield rows of `regressors`, for each pair of a first row and the row after the last."""
         n, before = len(inputs), max(shift, default=-1) + 1
         lagged = [*((i, 0) for i in self.prompt), *((i, -1) for i in self._lead)]
         for i, d in zip(self.delayed, shift, strict=True):
@@ -136,14 +136,14 @@ class GeneralPredictor(ABC):
 
     @abstractmethod
     def _interval_column(self, time: FloatArray) -> FloatArray:
-        """Return what the kernel takes as the interval after each of these times, (n_samples, 1)."""
+        """Return the interval after each time in the form that the kernel needs, (n_samples, 1)."""
 
     @abstractmethod
     def at(self, theta: FloatArray) -> Any:
-        """Return the predictor at values of the free parameters, shape (n_free,), as its kernel needs it."""
+        """Return the predictor at given values of the free parameters, (n_free,), for its kernel."""
 
     def at_each(self, points: FloatArray) -> list[Any]:
-        """Return the predictors at several points that are close to each other, shape (n_points, n_free).
+        """Return the predictors at several neighbouring points, shape (n_points, n_free).
 
         Those of a linear structure have the regressors of the first point: the same whole samples in their delays.
         """
@@ -151,11 +151,11 @@ class GeneralPredictor(ABC):
 
     @abstractmethod
     def released_state(self, theta: FloatArray) -> FloatArray:
-        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        """Return the initial state given by parameters, (n_states,); zero for other states."""
 
 
 class IntervalMatrices(NamedTuple):
-    """Matrices of a predictor for each interval between irregular times.
+    """Matrices of a predictor for each distinct interval of irregular times.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class IntervalMatrices(NamedTuple):
 
 
 class PredictorValues(NamedTuple):
-    """Matrices of the predictor at one parameter vector.
+    """Matrices of a predictor at given parameter values.
 
     ``x[k+1] = F x[k] + G z[k]``, ``yhat[k] = C x[k] + H z[k]`` with the regressors of
     `Predictor.regressors`, and the derivatives with respect to the free parameters.
@@ -232,7 +232,7 @@ class Predictor(GeneralPredictor):
     feedback: HeldFeedback | None = None
 
     def at(self, theta: FloatArray) -> PredictorValues:
-        """Return the matrices at values of the free parameters, shape (n_free,).
+        """Return the matrices at given values of the free parameters, shape (n_free,).
 
         Raises
         ------
@@ -247,7 +247,7 @@ class Predictor(GeneralPredictor):
         return values._replace(by_interval=IntervalMatrices(F.value, G.value, np.ascontiguousarray(slopes)))
 
     def _interval_column(self, time: FloatArray) -> FloatArray:
-        """Return the number of the interval; see `GeneralPredictor`."""
+        """Return the number of each interval; see `GeneralPredictor`."""
         assert self.intervals is not None
         return step_numbers(time, self.intervals)[:, None].astype(float)
 
@@ -260,7 +260,7 @@ class Predictor(GeneralPredictor):
         return [self._values(each, shift) for each in each_point]
 
     def _parts(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[tuple[Dual, ...], list[int]]:
-        """Return F, G, C and H, and the whole samples in the delays; with an axis of several steps where given."""
+        """Return F, G, C and H, and whole-sample delays; with an axis of intervals for irregular times."""
         simple = steps is None and self.feedback is None and self.n_states <= LARGEST
         if simple and (function := compiled("gbid_predictor")):
             return self._compiled_parts(function, theta)
@@ -274,7 +274,7 @@ class Predictor(GeneralPredictor):
         return (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none])), shift
 
     def _compiled_parts(self, function: Any, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
-        """Return what `_parts` does, without a sampled controller, from one call of a compiled function."""
+        """Return the result of `_parts`, without sampled controller, by one call of a compiled function."""
         flat, jacobian = self._numbers(theta)
         A, acting, late, delay, x0, C, feed = self._split(flat, jacobian, np.ndim(theta))
         n, n_p, n_y = A.shape[0], len(self.free), self.n_outputs
@@ -299,7 +299,7 @@ class Predictor(GeneralPredictor):
         return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
 
     def _without_errors(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[LoopParts, Dual, list[int]]:
-        """Return the structure in discrete time before errors are fed back, its initial state, and samples in delays.
+        """Return the discrete-time structure without error feedback, its initial state, and whole-sample delays.
 
         It is that of a loop with its controller closed. B and D are the effects of the regressors on state and output,
         without impulse and measured outputs.
@@ -342,7 +342,7 @@ class Predictor(GeneralPredictor):
         return LoopParts(*ordered), x0, shift
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
-        """Return the matrices of the structure with their derivatives, as in `Matrices`.
+        """Return the matrices of the structure with derivatives; fields as in `Matrices`.
 
         They are those of continuous time. Of a loop with a sampled controller they are those of the loop from sample to
         sample.
@@ -369,14 +369,14 @@ class Predictor(GeneralPredictor):
         ]
 
     def released_state(self, theta: FloatArray) -> FloatArray:
-        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        """Return the initial state given by parameters, (n_states,); zero for other states."""
         return self._evaluate(theta)[4].value[:, 0]
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         return self._split(*self._numbers(theta), np.ndim(theta))
 
     def _numbers(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the entries of all matrices, (n_points, n), and their derivatives, (n_points, n_p, n)."""
+        """Return the entries of all matrices, (n_points, n), and derivatives, (n_points, n_p, n)."""
         points = np.ascontiguousarray(theta, float).reshape(-1, len(self.free))
         flat = np.empty((len(points), self._function.nnz_out(0)))
         jacobian = np.empty((len(points), len(self.free), flat.shape[1]))
@@ -390,7 +390,7 @@ class Predictor(GeneralPredictor):
         return flat, jacobian
 
     def _split(self, flat: FloatArray, jacobian: FloatArray, n_axes: int) -> list[Dual]:
-        """Return the matrices; without an axis of points where the parameters had none."""
+        """Return the matrices from their entries; without an axis of points for a single point."""
         flat, jacobian = (flat[0], jacobian[0]) if n_axes == 1 else (flat, jacobian.swapaxes(0, 1))
         result, start = [], 0
         for shape in self._shapes:
@@ -402,7 +402,7 @@ class Predictor(GeneralPredictor):
 
 
 def matrices_with_slopes(predictor: Predictor, theta: FloatArray) -> tuple[list[Dual], list[FloatArray], float | None]:
-    """Return the matrices of a structure, its slopes as in `ModelSlopes`, and the sample time of a loop.
+    """Return the matrices of a structure, their derivatives (`ModelSlopes`), and a loop's sample time.
 
     Parameters
     ----------
@@ -486,7 +486,7 @@ def _built(
     released: tuple[bool, ...],
     steps: tuple[float, ...] | None,
 ) -> Predictor:
-    """Return a predictor; see `build_predictor`."""
+    """Return the predictor of a structure (cached); see `build_predictor`."""
     fixed, intervals = dict(held), None if steps is None else np.array(steps)
     p, stated = symbolic_matrices(structure)
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
@@ -552,7 +552,7 @@ def _built(
 
 
 def refuse_irregular(structure: str, what: str) -> Never:
-    """Refuse irregular times for a structure with something that acts between them."""
+    """Raise the error for irregular times, with the part of the structure that acts between samples."""
     raise UsageError(
         f"structure {structure!r}: {what} with samples at irregular times: what happens between two of them is not "
         "computed. Take rational delays (pade_order=2), or, where all times are multiples of a resolution of the "
@@ -561,12 +561,12 @@ def refuse_irregular(structure: str, what: str) -> Never:
 
 
 def _driven(matrix: ca.SX) -> list[int]:
-    """Return the columns of a matrix that have entries."""
+    """Return the indices of columns with entries."""
     return sorted(set(matrix.sparsity().get_triplet()[1]))
 
 
 def _with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matrices:
-    """Return the matrices with one more state for each of these outputs: its offset, a random walk.
+    """Return the matrices with an additional state (random-walk offset) for each of some outputs.
 
     Parameters
     ----------

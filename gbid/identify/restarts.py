@@ -1,4 +1,4 @@
-"""Attempts at a fit: other window lengths, and other start values where the first ones are unstable or lead astray.
+"""Attempts of a fit: other window lengths, and other start values after an unstable or wrong result.
 
 ===  ===============================  ===============================  =====  ==========================================
 no   start values                     windows                          gain   tried
@@ -55,7 +55,7 @@ from gbid.structure.linear import evaluate, symbolic_matrices
 
 @dataclass(frozen=True)
 class Policy:
-    """Limits that decide on further attempts.
+    """Limits that decide on further attempts of a fit.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ POLICY = Policy()
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a fit.
+    """One attempt of a fit.
 
     Attributes
     ----------
@@ -116,31 +116,31 @@ class Attempt:
 
     @property
     def loss(self) -> float:
-        """Loss of the result; infinite where it has none."""
+        """Loss of the result; infinite without a loss."""
         return self.result.loss if np.isfinite(self.result.loss) else np.inf
 
     @property
     def held(self) -> bool:
-        """Whether a free disturbance gain was held, for it led to an almost unstable predictor."""
+        """Whether the free disturbance gain was fixed because the predictor was nearly unstable."""
         return any(FitNote.GAIN_HELD.value in note for note in self.result.notes)
 
     @property
     def good(self) -> bool:
-        """Whether it converged, to no doubtful minimum, and estimated a free disturbance gain."""
+        """Whether the fit converged to a reliable minimum, with a free disturbance gain estimated."""
         return self.result.success and not (self.doubtful or self.held)
 
     def agrees(self, others: Sequence[Attempt]) -> bool:
-        """Return whether it converged, and one of the others at the same loss."""
+        """Return whether the fit converged, and another attempt reached an equal loss."""
         losses = [other.loss for other in others if other.result.success]
         return self.result.success and any(abs(loss - self.loss) <= POLICY.lower * self.loss for loss in losses)
 
     def noted(self, note: str) -> Attempt:
-        """Return the attempt with one more note."""
+        """Return the attempt with an additional note."""
         return replace(self, result=self.result.noted(note))
 
 
 def solved(problem: PosedProblem) -> Attempt:
-    """Return the attempt of a posed problem."""
+    """Return the attempt that solves a posed problem."""
     optimum = minimise(problem)
     result, shooting, unknowns = judge(optimum), optimum.shooting, optimum.solution.unknowns
     doubtful = result.trusted != "white" and optimum.weighted is None and strongly_coloured(shooting, unknowns)
@@ -148,7 +148,7 @@ def solved(problem: PosedProblem) -> Attempt:
 
 
 def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
-    """Return the lengths of the shooting windows to try in turn; the first one to converge is taken.
+    """Return the window lengths to try in turn, until one converges.
 
     They are shortened so that a model that grows at this rate in a sample grows tenfold at most in one; those of the
     caller stay.
@@ -168,7 +168,7 @@ _MISSING = (FitNote.LEFT_OUT, FitNote.FEEDBACK)  # notes on residuals that follo
 
 
 def best_attempt(task: FitTask) -> FitResult:
-    """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others.
+    """Return the first converged result, else the one of smallest loss; notes mention other attempts.
 
     Where its residuals follow an input, a note names what may be missing.
     """
@@ -227,7 +227,7 @@ def _best_attempt(task: FitTask) -> Attempt:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Attempts at the fit of a task, one rung after the other."""
+    """Attempts of a fit, in sequence."""
 
     task: FitTask
 
@@ -237,17 +237,17 @@ class Ladder:
         return max((record.n_samples for record in self.task.data.records), default=0)
 
     def grows(self, rate: float, most: float = POLICY.growth, samples: int | None = None) -> bool:
-        """Return whether a predictor that grows at this rate in a sample is unstable over a record, or `samples`."""
+        """Return whether a growth rate per sample means instability over a record, or over `samples`."""
         return not log(max(rate, 1e-300)) * (self.longest if samples is None else samples) <= log(most)
 
     def rate(self, start: Mapping[str, float]) -> float:
-        """Return the largest growth of the predictor in a sample, at start values."""
+        """Return the predictor's largest growth in a sample, at given start values."""
         return _rate(self.task.problem(start, windows_of(self.task)[0]))
 
     def in_turn(
         self, start: Mapping[str, float], windows: Sequence[int | None], *, unstable: bool = False
     ) -> Attempt | None:
-        """Return the first attempt in windows of these lengths that converges, else that with the smallest loss.
+        """Return the first converged attempt over the window lengths, else the one of smallest loss.
 
         A solution that runs away is solved again in windows that bound its growth. None for an unstable start, but with
         `unstable`, where its windows are so short already.
@@ -269,7 +269,7 @@ class Ladder:
         return self._bounded(best.noted(FitNote.WINDOWS_CHANGED(text)) if others else best, unstable=unstable)
 
     def _with_gain_held(self, start: Mapping[str, float], window: int | None) -> Attempt:
-        """Return the attempt with the disturbance gain at its start value, where a free one had to be held.
+        """Return an attempt with the disturbance gain fixed at its start value.
 
         With another gain its estimates would be others, unless the recordings show that disturbances do not move a
         mode: then it is no success.
@@ -283,7 +283,7 @@ class Ladder:
         return held.noted(FitNote.GAIN_HELD(note))
 
     def _bounded(self, attempt: Attempt, *, unstable: bool) -> Attempt:
-        """Return a fit from a solution that runs away, in windows that bound its growth; else the solution.
+        """Return a new fit of a diverging solution, in windows that bound its growth; else the given attempt.
 
         The plant is unstable then, or a part of it went astray.
         """
@@ -300,7 +300,7 @@ class Ladder:
         return again.noted(FitNote.WINDOWS_CHANGED(text))
 
     def in_other_windows(self, attempts: list[Attempt]) -> list[Attempt]:
-        """Return more attempts at a nonlinear structure, until one is good or agrees with another."""
+        """Return further attempts of a nonlinear fit, until one is good or two agree."""
         task, chosen = self.task, self.task.options.window
         states = kind_of(task.structure).anatomy().n_states
         for length in POLICY.apart:
@@ -321,12 +321,12 @@ class Ladder:
 
 
 def _rate(problem: PosedProblem) -> float:
-    """Return the largest growth of the predictor in a sample, at the start of a problem."""
+    """Return the predictor's largest growth in a sample, at the start values of a problem."""
     return problem.shooting.rate(*problem.shooting.unpack(problem.unknowns))
 
 
 def _confirmed(attempts: Sequence[Attempt]) -> Attempt:
-    """Return the result of lowest loss of nonlinear attempts, a success where it is good or another one agrees."""
+    """Return the nonlinear attempt of lowest loss; a success if it is good or another attempt agrees."""
     least = min(attempt.loss for attempt in attempts)
     low = [each for each in attempts if not each.result.loss > least * (1 + POLICY.lower)]
     converged = [each for each in low if each.result.success]
@@ -343,7 +343,7 @@ _DOUBTFUL = (
 
 
 def _lowest(attempts: Sequence[Attempt]) -> Attempt:
-    """Return the lowest of those that converged, else the lowest; notes tell of one that is lower still."""
+    """Return the converged attempt of lowest loss, else the lowest; notes mention a lower unconverged one."""
     finite = [each for each in attempts if np.isfinite(each.loss)] or attempts
     lowest = min(finite, key=lambda each: each.loss)
     best = min((each for each in finite if each.result.success), key=lambda each: each.loss, default=lowest)
@@ -368,7 +368,7 @@ _ROUGHLY = 50  # iterations: start values need not be exact
 
 
 def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
-    """Return start values from a fit in windows of this many samples that do not follow each other.
+    """Return start values from a fit with separate windows of a given number of samples.
 
     A parameter with local values begins at their mean.
     """
@@ -381,7 +381,7 @@ def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
 
 
 def data_start(task: FitTask) -> dict[str, float] | None:
-    """Return start values from the data alone; None where they cannot be found, or the structure is not linear."""
+    """Return start values from the data alone; None if not found, or for a nonlinear structure."""
     if kind_of(task.structure).linear is None:
         return None
     try:
@@ -403,7 +403,7 @@ _NOISE = 0.1  # assumed standard deviation of the noise, as a part of that of th
 
 
 def observer_start(task: FitTask) -> dict[str, float] | None:
-    """Return start values from fits with a steady observer in place of the structure's own disturbance gain.
+    """Return start values from fits with a steady Kalman observer instead of the disturbance gain.
 
     The observer is a steady Kalman filter for assumed noise. With it the predictor is stable, whatever the start. It
     is computed anew, with a longer memory, at the estimates of each fit. Free parameters of the structure's own
@@ -449,7 +449,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
 
 
 def _plant_alone(loop: Any, task: FitTask) -> FitTask:
-    """Return the fit of the plant within a loop, from what the controller did at its start values."""
+    """Return the fit of the plant within a loop, with inputs computed from the controller's start values."""
     gains = {gain.name: task.begin.values[gain.name] for gain in loop.gains}
     data = plant_data(loop, task.undisturbed, gains)
     parameters = tuple(q for q in task.parameters if q.name not in gains)
@@ -460,7 +460,7 @@ def _plant_alone(loop: Any, task: FitTask) -> FitTask:
 
 
 def gain_start(task: FitTask) -> dict[str, float] | None:
-    """Return the start values with the disturbance gain of a steady observer at them, the best of several memories.
+    """Return the start values with the disturbance gain of a steady observer: the best of several memories.
 
     Values that are near are kept, where a fit with an observer of short memory may lose them. None for a structure
     without a free gain, or that is not linear.
@@ -530,7 +530,7 @@ def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, rea
 
 
 def with_gain(structure: Structure, gain: FloatArray) -> LinearStructure:
-    """Return a structure with a given disturbance gain, (n, n_outputs), in place of its own."""
+    """Return a structure with a given disturbance gain, (n, n_outputs), in place of its gain parameters."""
     return LinearStructure(
         structure.name,
         structure.parameters,
@@ -544,7 +544,7 @@ def with_gain(structure: Structure, gain: FloatArray) -> LinearStructure:
 def gain_parameters(
     structure: Structure, parameters: tuple[Parameter, ...], values: Mapping[str, float], gain: FloatArray
 ) -> dict[str, float]:
-    """Return free parameters of the disturbance gain with which it is nearest to a given one, within their bounds.
+    """Return the values of gain parameters closest to a given disturbance gain, within their bounds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Result of a fit, and its status: the reason why the solver stopped."""
+"""Result of a fit: estimates, uncertainty, diagnosis, provenance; and its status."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ StdKind = Literal["white", "robust"]
 
 
 class FitStatus(StrEnum):
-    """Reason why a solver stopped, with advice.
+    """Reason why a fit ended, with advice.
 
     Members are compared with each other; `success` tells whether the fit converged.
     """
@@ -91,7 +91,7 @@ class FitStatus(StrEnum):
 
     @property
     def success(self) -> bool:
-        """Whether the fit converged to an estimate."""
+        """Whether the fit converged to a valid estimate."""
         return self.name.startswith("CONVERGED")
 
 
@@ -101,7 +101,7 @@ Verdict = Literal["identifiable", "one-sided", "flat", "not a minimum"]
 
 @dataclass(frozen=True, eq=False)
 class Profile(Brief, Pictured):
-    """Profile likelihood of a parameter; `FitResult.profile` makes it.
+    """Profile likelihood of a parameter, computed by `FitResult.profile`.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Profile(Brief, Pictured):
 
 
 def _of_each(at: str, words: str) -> Stored:
-    """Return the declaration of numbers of all parameters, with the names as an attribute."""
+    """Return the storage declaration of a value for each parameter, with names as an attribute."""
     return Stored("as attribute units", words, "n", f"parameters/{at}", "parameters@names")
 
 
@@ -193,7 +193,7 @@ class StartsTried:
 
 @dataclass(frozen=True)
 class Phase:
-    """Size of a problem that the solver solved, and its iterations.
+    """Size of a solved problem, and the solver's iterations.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Phase:
 
 @dataclass(frozen=True, eq=False)
 class FitEstimates(Brief):
-    """Estimates of a fit, and the model that they make.
+    """Estimates of a fit, and its model.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class FitEstimates(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FitUncertainty(Brief):
-    """Covariance of the estimates of a fit, and what follows from it.
+    """Covariance of the estimates of a fit, and derived standard deviations.
 
     Attributes
     ----------
@@ -311,7 +311,7 @@ class FitUncertainty(Brief):
     profiler: Annotated[Callable[[str, str, float], Profile] | None, NOT_STORED] = None
 
     def __post_init__(self) -> None:
-        """Choose the covariance of a stored result."""
+        """Select the covariance that a stored result trusts."""
         if not self.covariance.size:
             chosen = self.covariance_white if self.trusted == "white" else self.covariance_robust
             object.__setattr__(self, "covariance", chosen)
@@ -319,7 +319,7 @@ class FitUncertainty(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FitDiagnosis(Brief):
-    """How good a fit is, and what is to be thought of it.
+    """Quality of a fit: status, loss, residuals, criteria and notes.
 
     Attributes
     ----------
@@ -360,7 +360,7 @@ class FitDiagnosis(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FitProvenance(Brief):
-    """What a fit was made of, and how.
+    """Origin of a fit: recordings, options, start values and engine.
 
     Attributes
     ----------
@@ -400,7 +400,7 @@ T = TypeVar("T")
 
 
 class InGroup(Generic[T]):
-    """Field of a group of a result, which the result answers under the same name."""
+    """Descriptor that shows a field of a result's group as an attribute of the result."""
 
     def __init__(self, read: Callable[[FitResult], T]) -> None:
         self.read = read
@@ -411,7 +411,7 @@ class InGroup(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class FitResult(Brief, Pictured, hdf5.InFile):
-    """Result of a fit: four groups of values, which it answers under their own names, too, such as ``result.std``.
+    """Result of a fit in four groups of fields; all fields are attributes of the result too, such as ``result.std``.
 
     Attributes
     ----------
@@ -477,14 +477,14 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 4)
 
     def __post_init__(self) -> None:
-        """Give the model the inter-sample behaviour of the fit; that of a loop is sampled, and has it already."""
+        """Give the model the inter-sample behaviour of the fit; a loop's model is sampled and has it already."""
         model = self.estimate.model
         if model.intersample is None and getattr(model, "dt", None) is None:
             model = replace(model, intersample=self.provenance.options.intersample)
             object.__setattr__(self, "estimate", replace(self.estimate, model=model))
 
     def changed(self, **values: Any) -> FitResult:
-        """Return the result with other values of fields of its groups.
+        """Return the result with changed fields of its groups.
 
         Parameters
         ----------
@@ -501,7 +501,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return FitResult(**groups)
 
     def noted(self, *notes: str) -> FitResult:
-        """Return the result with more notes.
+        """Return the result with additional notes.
 
         Parameters
         ----------
@@ -517,7 +517,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
     @staticmethod
     def covariance_in(group: h5py.Group) -> FloatArray:
-        """Return the covariance that a fit trusts, from its `group`."""
+        """Return the covariance that a fit trusts, from its HDF5 `group`."""
         kind = "white" if hdf5.read_text(group, "trusted") == "white" else "robust"
         return hdf5.read_dataset(group, f"parameters/covariance_{kind}")
 
@@ -535,7 +535,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         )
 
     def table(self) -> Table:
-        """Return the parameters as a table: estimate, standard deviation, unit, start value and its origin."""
+        """Return a table of parameters: estimate, standard deviation, unit, start value and its origin."""
         columns = [Column(name) for name in ("parameter", "value", "std", "unit", "start", "start from")]
         columns[1:3] = [Column("value", format=5), Column("std", format=2)]
         rows: list[list[Entry]] = [
@@ -555,14 +555,14 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return fit_tables(fit_document(self))
 
     def figures(self) -> list[Figure]:
-        """Return the frequency response, and profile likelihoods where the fit was asked for them."""
+        """Return the frequency response, and the profile likelihoods where the fit has them."""
         verdicts = ", ".join(f"{name} {profile.verdict}" for name, profile in self.profiles.items())
         profiles = [Figure("plot_profile", f"Profile likelihoods: {verdicts}", (self.profiles,))]
         shown = Figure("plot_bode", f"Frequency response of {self.structure} with confidence bands", (self,))
         return [shown, *(profiles if self.profiles else [])]
 
     def to_frame(self) -> Any:
-        """Return the parameters as a data frame: value, standard deviation, unit, start value and its origin by name.
+        """Return a data frame of parameters: value, standard deviation, unit, start value and its origin.
 
         Returns
         -------
@@ -577,17 +577,17 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
     @property
     def success(self) -> bool:
-        """Whether the fit converged to an estimate: finite, at rest, determined, and better than a constant."""
+        """Whether the fit converged to a valid estimate: finite, settled, determined, better than a constant."""
         return self.status.success
 
     @property
     def linear_model(self) -> LinearModel:
-        """The model; of a nonlinear structure the linear model at its working point."""
+        """Linear model; for a nonlinear structure linearised at the working point."""
         return self.model.linearise()
 
     @property
     def uncertain_model(self) -> UncertainModel:
-        """The model with the derivatives of its matrices and the covariance of the parameters."""
+        """Model with the derivatives of its matrices and the covariance of the parameters."""
         model = self.linear_model
         units = dict.fromkeys((*model.input_names, *model.output_names), "m") if self.structure in IN_METRES else {}
         sample_time = None if np.isnan(self.sample_time) else self.sample_time  # see its attribute
@@ -615,7 +615,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return bode(self.uncertain_model, frequency_hz)
 
     def profile(self, name: str, level: float = 0.95) -> Profile:
-        """Return the profile likelihood of an estimated parameter; `gbid.profile` returns those of several.
+        """Return the profile likelihood of one parameter; `gbid.profile` computes several.
 
         Parameters
         ----------
@@ -653,7 +653,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
     @property
     def may_be_profiled(self) -> bool:
-        """Whether the fit ended at a minimum of the criterion, also where it is flat in some direction."""
+        """Whether the fit ended at a minimum of the criterion, even one with flat directions."""
         return self.success or self.status is FitStatus.NOT_DETERMINED
 
     @property
@@ -662,7 +662,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return {full: short for names in self.local_names.values() for short, full in names.items()}
 
     def parameters_of(self, recording: str) -> dict[str, float]:
-        """Return the parameters of one recording under the names of the structure.
+        """Return the parameters of one recording by their names in the structure.
 
         Parameters
         ----------
@@ -687,7 +687,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return {**shared, **{name: self.parameters[full] for name, full in full_names.items()}}
 
     def std_with(self, kind: StdKind) -> dict[str, float]:
-        """Return the standard deviations from one of the covariances.
+        """Return standard deviations from a chosen kind of covariance.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Robust losses of Huber and Student for errors of several outputs, and their efficiency."""
+"""Robust losses (Huber, Student) for several outputs: weights, efficiency, and reweighted fits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EFFICIENCY = 0.95
 
 @dataclass(frozen=True)
 class RobustLoss:
-    """Loss of the squared distance ``d^2 = e' S^-1 e`` of the errors of a sample, with their covariance S.
+    """Loss of the squared distance ``d^2 = e' S^-1 e`` of a sample's errors e with covariance S.
 
     Attributes
     ----------
@@ -35,20 +35,20 @@ class RobustLoss:
     threshold: float
 
     def weight(self, squared: FloatArray, n_outputs: int) -> FloatArray:
-        """Return the weight of the squared errors of samples with these squared distances."""
+        """Return the weights of samples with given squared distances."""
         if self.kind == "huber":
             distance = np.sqrt(np.maximum(squared, np.finfo(float).tiny))
             return np.asarray(np.minimum(1.0, self.threshold / distance))
         return np.asarray((self.threshold + n_outputs) / (self.threshold + squared))
 
     def elasticity(self, squared: FloatArray) -> FloatArray:
-        """Return ``d w'(d) / w(d)``, the relative change of the weight over that of the distance."""
+        """Return ``d w'(d) / w(d)``: relative change of the weight per relative change of the distance."""
         if self.kind == "huber":
             return np.where(squared > self.threshold**2, -1.0, 0.0)
         return np.asarray(-2 * squared / (self.threshold + squared))
 
     def moments(self, squared: FloatArray, n_outputs: int, share: FloatArray | float = 1.0) -> WeightMoments:
-        """Return the moments of the weights, for samples with these squared distances.
+        """Return the moments of the weights of samples with given squared distances.
 
         `share` is the probability of each sample; by default all are equally probable.
         """
@@ -68,7 +68,7 @@ class RobustLoss:
 
 @dataclass(frozen=True)
 class WeightMoments:
-    """Moments of the weights w over the distances d of p outputs.
+    """Moments of the weights w and distances d of errors of p outputs.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class WeightMoments:
 
 
 def robust_loss(options: FitOptions, n_outputs: int) -> RobustLoss | None:
-    """Return the loss of the options of a fit, None for squared errors.
+    """Return the loss that the options of a fit select; None for squared errors.
 
     The default threshold has an efficiency of 95 % for normal errors.
     """
@@ -108,7 +108,7 @@ def _default(kind: LossName, n_outputs: int) -> RobustLoss:
 
 
 def efficiency(loss: RobustLoss, n_outputs: int) -> float:
-    """Return the variance of least squares over that of the loss, for normal errors without outliers."""
+    """Return the variance of least squares divided by the loss's variance, for normal errors without outliers."""
     squared, density = _normal_distances(n_outputs)
     scale = 1.0
     if loss.kind == "student":  # its own scale, as the likelihood finds it
@@ -119,14 +119,14 @@ def efficiency(loss: RobustLoss, n_outputs: int) -> float:
 
 
 def scale_of_huber(loss: RobustLoss, n_outputs: int) -> float:
-    """Return ``E[w^2 d^2] / p`` for normal errors, which makes the scale of Huber's second proposal consistent."""
+    """Return ``E[w^2 d^2] / p`` for normal errors: consistency factor of Huber's second proposal."""
     squared, density = _normal_distances(n_outputs)
     return loss.moments(squared, n_outputs, density).scores
 
 
 @lru_cache(maxsize=8)
 def _normal_distances(n_outputs: int) -> tuple[FloatArray, FloatArray]:
-    """Return squared distances of normal errors and their probabilities on a grid."""
+    """Return a grid of squared distances of normal errors, with probabilities."""
     distance = np.linspace(1e-4, np.sqrt(n_outputs) + 9.0, 20_000)
     log_density = (n_outputs - 1) * np.log(distance) - distance**2 / 2
     density = np.exp(log_density - log_density.max())
@@ -143,7 +143,7 @@ _SCALE_ROUNDS = 20
 
 @dataclass(frozen=True, eq=False)
 class Reweighted:
-    """Problem with the weights of the samples, and what follows for the uncertainty.
+    """Problem with weighted samples, and the moments of the weights.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class Reweighted:
 def reweighted_solution(
     problem: Shooting, first: Solution, loss: RobustLoss, run: Callable[[FloatArray, Shooting], Solution]
 ) -> tuple[Reweighted | None, Solution]:
-    """Return the minimum of a robust loss, from that of the squares.
+    """Return the minimum of a robust loss, starting from the least-squares solution.
 
     Parameters
     ----------
@@ -222,24 +222,24 @@ def reweighted_solution(
 
 
 def _errors(problem: Shooting, unknowns: FloatArray) -> FloatArray:
-    """Return the errors of all samples of all parts, (n, n_y); zero for samples that do not count."""
+    """Return the errors of all samples of all parts, (n, n_y); zero outside the cost."""
     theta, starts = problem.unpack(unknowns)
     return _samples(problem, problem.errors(problem.values(theta), starts))
 
 
 def _counted(problem: Shooting) -> BoolArray:
-    """Return which of these samples count, (n,)."""
+    """Return which samples are in the cost, (n,)."""
     return _samples(problem, [part.blocks.used[:, :, None] for part in problem.parts])[:, 0] > 0
 
 
 def _samples(problem: Shooting, blocks: Sequence[FloatArray]) -> FloatArray:
-    """Return values in the blocks of each part as rows of samples."""
+    """Return values in blocks of each part as rows of samples."""
     parts = zip(problem.parts, blocks, strict=True)
     return np.concatenate([rows for part, values in parts for rows in part.blocks.by_segment(values)])
 
 
 def _scale(rows: FloatArray, loss: RobustLoss, S: FloatArray | None) -> FloatArray:
-    """Return the covariance of the errors without that of outliers, from the last one or from the median errors."""
+    """Return the robust covariance of the errors, started from the last one or from median errors."""
     n_y = rows.shape[1]
     floor = np.finfo(float).tiny + 1e-30 * float((rows**2).mean())  # exact data have no errors at all
     if S is None:
@@ -258,7 +258,7 @@ def _distances(rows: FloatArray, S: FloatArray) -> FloatArray:
 
 
 def _with_weights(problem: Shooting, weights: FloatArray) -> Shooting:
-    """Return the problem with weights of its samples, in the order of `_errors`."""
+    """Return the problem with sample weights, in the order of `_errors`."""
     parts, rest = [], weights
     for part in problem.parts:
         of_part = []

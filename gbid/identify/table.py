@@ -26,7 +26,7 @@ MODE_BLOCKS = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mo
 
 @dataclass(frozen=True, eq=False)
 class FitTable(Brief, hdf5.InFile):
-    """Table with one row for each fit of a campaign, with failed fits.
+    """Table with one row for each fit of a campaign, including failed fits.
 
     n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table. Values
     that a fit does not have are nan. A failed fit has nan in all columns and its reason in `status`.
@@ -127,7 +127,7 @@ class FitTable(Brief, hdf5.InFile):
         return len(self.fit)
 
     def parameter(self, name: str) -> FloatArray:
-        """Return the estimates of one parameter, (n,).
+        """Return the estimates of one parameter over all fits, (n,).
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class FitTable(Brief, hdf5.InFile):
         return self.values[:, self.parameter_names.index(name)]
 
     def covariance_of(self, names: Sequence[str]) -> FloatArray:
-        """Return covariances of some parameters in the given order, (n, len(names), len(names)).
+        """Return covariances of selected parameters, in the given order, (n, len(names), len(names)).
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class FitTable(Brief, hdf5.InFile):
         speed_rpm: float | None = None,
         success: bool | None = None,
     ) -> FitTable:
-        """Return a table of some rows, with the columns that these rows have.
+        """Return a table of selected rows, with the columns that these rows use.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class FitTable(Brief, hdf5.InFile):
         return chosen._taken(**known)
 
     def _taken(self, **kept: IntArray) -> FitTable:
-        """Return the table with these places of the dimensions n, k, m, g and q, and all of the others."""
+        """Return a table with selected indices along the dimensions n, k, m, g and q."""
         taken: dict[str, Any] = {}
         for name, letters in _dimensions().items():
             taken[name] = getattr(self, name)
@@ -221,7 +221,7 @@ class FitTable(Brief, hdf5.InFile):
         return replace(self, **taken)
 
     def row(self, fit: str, model: str) -> dict[str, Any]:
-        """Return one row as a dict, with the names of `columns`.
+        """Return one row as a dict by the names of `columns`.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class FitTable(Brief, hdf5.InFile):
         return {name: values[rows[0]] for name, (values, _) in self.columns().items()}
 
     def columns(self) -> Mapping[str, tuple[npt.NDArray[Any], str]]:
-        """Return all columns in order, each with its unit; these are the columns of the CSV file.
+        """Return all columns of the CSV file in order, each with its unit.
 
         Returns
         -------
@@ -297,7 +297,7 @@ class FitTable(Brief, hdf5.InFile):
 
 @cache
 def _dimensions() -> dict[str, list[str]]:
-    """Return the letters of the dimensions of each field, as declared with its storage."""
+    """Return the dimension letters of each field, from its storage declaration."""
     hints = get_type_hints(FitTable, include_extras=True)
     return {field.name: hints[field.name].__metadata__[0].shape.split() for field in fields(FitTable)}
 
@@ -307,7 +307,7 @@ def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
 
 
 def csv_table(fits: FitTable) -> Table:
-    """Return the columns of a table of fits for a CSV file, with a note on units; nan becomes a missing value."""
+    """Return the CSV columns of a table of fits, with a note on units; nan becomes a missing value."""
     columns = fits.columns()
     units = ", ".join(f"{name} [{unit}]" for name, (_, unit) in columns.items() if unit)
     values = [[None if value != value else value for value in array.tolist()] for array, _ in columns.values()]
@@ -317,7 +317,7 @@ def csv_table(fits: FitTable) -> Table:
 
 @dataclass(frozen=True, eq=False)
 class FitRow(Brief):
-    """What a table shows of one fit; the fields are those of `gbid.FitResult`.
+    """One fit as a row of a table; fields as in `gbid.FitResult`.
 
     Attributes
     ----------
@@ -338,14 +338,14 @@ class FitRow(Brief):
 
     @classmethod
     def of(cls, result: FitResult) -> FitRow:
-        """Return the row of a result."""
+        """Return the row of a fit result."""
         shared = (field.name for field in fields(cls) if field.name != "numbers")
         return cls(**{name: getattr(result, name) for name in shared}, numbers=_numbers(result))
 
 
 @dataclass(frozen=True, eq=False)
 class TableEntry(Brief):
-    """Source of one row of a table of fits.
+    """Source of one row of a table of fits: a result, or a failure.
 
     Attributes
     ----------
@@ -373,7 +373,7 @@ class TableEntry(Brief):
 
 
 def tabulate(entries: Sequence[TableEntry]) -> FitTable:
-    """Return a table of fits with one row for each entry, in their order.
+    """Return a table of fits with a row for each entry, in the given order.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Pass over the samples: blocks, recursion, and the compiled or numpy engine that runs it."""
+"""Passes over the samples: blocks, recursions, and the engines (compiled or numpy) that run them."""

@@ -1,4 +1,4 @@
-"""Shooting windows of records, and blocks of equal length that are computed in parallel lanes."""
+"""Shooting windows of records, cut into blocks of equal length that run in parallel lanes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LANES = 8  # blocks in one group, as in vectors.c: number of doubles in the wide
 
 
 class GapGains(NamedTuple):
-    """Weights and gains of the samples of a segment, for a `gbid.identify.kernel.gaps.GapKernel`.
+    """Weights and Kalman gains of the samples of a segment, for a `gbid.identify.kernel.gaps.GapKernel`.
 
     Attributes
     ----------
@@ -76,22 +76,22 @@ class Segment:
 
     @property
     def is_plain(self) -> bool:
-        """Whether every output is measured, at even times."""
+        """Whether all outputs are measured, at even times."""
         return self.missing is None and self.time is None
 
     @property
     def present(self) -> BoolArray:
-        """Which outputs of the part are measured, (n, n_outputs)."""
+        """Which outputs of the segment are measured, (n, n_outputs)."""
         return ~np.isnan(self.part(self.measured))
 
     @property
     def measured(self) -> FloatArray:
-        """Outputs of the record, NaN where they are missing."""
+        """Outputs of the whole record, NaN where they are missing."""
         return self.outputs if self.missing is None else np.where(self.missing, np.nan, self.outputs)
 
     @property
     def targets(self) -> FloatArray:
-        """Outputs to predict, (n, n_outputs), weighted by their gains."""
+        """Outputs to predict, (n, n_outputs), multiplied by the weights of `gains`."""
         if self.gains is None:
             return self.part(self.outputs)
         n_y = self.outputs.shape[1]
@@ -99,18 +99,18 @@ class Segment:
         return self.part(np.einsum("kij,kj->ki", T, self.outputs))
 
     def part(self, rows: FloatArray) -> FloatArray:
-        """Return the rows of the record that belong to the part."""
+        """Return the rows of a record's array that belong to the segment."""
         return rows[self.start : self.stop]
 
     @property
     def is_left_out(self) -> bool:
-        """Whether no sample is in the cost."""
+        """Whether no sample of the segment is in the cost."""
         return self.counts is not None and not self.part(self.counts).any()
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of equal length with the samples of segments, eight in a group (`lanes`); short blocks are padded.
+    """Segments cut into blocks of equal length, in groups of eight (`lanes`); short blocks are padded.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Blocks:
 
     @property
     def gains(self) -> list[GapGains]:
-        """GapGains of the segments that have some."""
+        """GapGains of the segments, without segments that have none."""
         return [segment.gains for segment in self.segments if segment.gains is not None]
 
     @property
@@ -171,12 +171,12 @@ class Blocks:
 
     @property
     def n_blocks(self) -> int:
-        """Number of blocks without padding."""
+        """Number of blocks, not counting padding."""
         return int(self.window_size.sum())
 
     @cached_property
     def uneven(self) -> IntArray:
-        """Blocks of which some samples do not count, or have another weight than 1."""
+        """Blocks with samples outside the cost, or with a weight other than 1."""
         return np.flatnonzero((self.used != 1).any(axis=1))
 
     @cached_property
@@ -186,20 +186,20 @@ class Blocks:
 
     @cached_property
     def by_window(self) -> tuple[IntArray, BoolArray]:
-        """Indices of the blocks of each window, (n_windows, per_window), and a mask of its own blocks."""
+        """Indices of the blocks of each window, (n_windows, per_window), and a mask of valid entries."""
         place = np.arange(self.per_window)
         return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
 
     @property
     def window_samples(self) -> list[tuple[Segment, int]]:
-        """Segment of each window, and the number of its first sample in the record."""
+        """Segment of each window, and the index of its first sample in the record."""
         blocks = self.window_first[self.segment_first]
         of = np.searchsorted(self.segment_first, np.arange(self.n_windows), side="right") - 1
         within = (self.window_first - blocks[of]) * self.length
         return [(self.segments[i], self.segments[i].start + k) for i, k in zip(of, within.tolist(), strict=True)]
 
     def z(self, shift: tuple[int, ...]) -> FloatArray:
-        """Return the regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
+        """Return the regressors for given whole-sample delays, shape (n_groups, length, n_z, lanes)."""
         if shift not in self._regressors:
             if len(self._regressors) > 3:
                 self._regressors.clear()
@@ -207,12 +207,12 @@ class Blocks:
         return self._regressors[shift]
 
     def release(self) -> None:
-        """Free the memory of large regressors, which are made anew when they are needed: in less time than a pass."""
+        """Free the memory of large regressors; they are recomputed when needed, in less time than a pass."""
         if sum(rows.nbytes for rows in self._regressors.values()) > _KEPT_BYTES:
             self._regressors.clear()
 
     def _rows(self, shift: tuple[int, ...]) -> Iterator[FloatArray]:
-        """Yield the regressors of some blocks after the other, in memory that is soon used again."""
+        """Yield the regressors of consecutive batches of blocks, in memory that is reused."""
         count = max(1, _AT_ONCE // self.length) * self.length
         for p in self.segments:
             stop = len(p.inputs) if p.stop is None else p.stop
@@ -222,33 +222,33 @@ class Blocks:
                 yield made if p.gains is None else np.hstack([made, p.gains.columns[first:end]])
 
     def with_segments(self, segments: Iterable[Segment]) -> Blocks:
-        """Return the blocks with other regressors, those of segments with as many samples."""
+        """Return the blocks with regressors of other segments, which have the same lengths."""
         return replace(self, segments=tuple(segments), _regressors={}, ends_from_zero=[])
 
     def with_samples_of(self, other: Blocks) -> Blocks:
-        """Return the blocks with the weights of others of the same records, and with their outputs without a copy."""
+        """Return the blocks with the sample weights of other blocks of these records; outputs are shared."""
         return replace(self, used=other.used, y=self.y if self.gains else other.y)
 
     def by_whole_segments(self) -> Blocks:
-        """Return the blocks with each segment as one window."""
+        """Return the blocks with one window for each segment."""
         first = self.window_first[self.segment_first]
         size = np.diff(np.append(first, self.n_blocks))
         every = np.arange(len(first))
         return replace(self, per_window=int(size.max()), window_first=first, window_size=size, segment_first=every)
 
     def by_group(self, values: FloatArray) -> FloatArray:
-        """Return values of blocks, (n, W), in the order of the compiled passes, (n_groups, n, lanes)."""
+        """Return values of blocks, (n, W), in the layout of the compiled passes, (n_groups, n, lanes)."""
         return np.ascontiguousarray(values.reshape(len(values), -1, self.lanes).transpose(1, 0, 2))
 
     def side_by_side(self, values: FloatArray, some: slice) -> FloatArray:
-        """Return values of some blocks, (n_groups, length, n, lanes), side by side, (length, n, n_blocks)."""
+        """Return values of selected blocks, (n_groups, length, n, lanes), as (length, n, n_blocks)."""
         groups = slice(some.start // self.lanes, -(-some.stop // self.lanes))
         rows = values[groups].transpose(1, 2, 0, 3).reshape(self.length, values.shape[2], -1)
         skipped = groups.start * self.lanes
         return rows[:, :, some.start - skipped : some.stop - skipped]
 
     def by_segment(self, values: FloatArray) -> list[FloatArray]:
-        """Return values of blocks, (n_groups, length, n, lanes), as one (n_samples, n) array for each segment."""
+        """Return values of blocks, (n_groups, length, n, lanes), as an array (n_samples, n) for each segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
         edges = pairwise([*self.window_first[self.segment_first].tolist(), self.n_blocks])
         return [rows[a:b].reshape(-1, values.shape[2])[: int(self.size[a:b].sum())] for a, b in edges]
@@ -261,7 +261,7 @@ def cut(
     *,
     longest_block: int = LONGEST_BLOCK,
 ) -> Blocks:
-    """Return the shooting windows of segments, cut into blocks.
+    """Cut segments into shooting windows, and these into blocks.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def cut(
 
 
 def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
-    """Return blocks with new weights of the squared errors, one array for each segment."""
+    """Return blocks with new weights of the squared errors; weights are one array for each segment."""
     segments = []
     for segment, squared in zip(blocks.segments, weights, strict=True):
         full = np.ones(len(segment.outputs))
@@ -328,7 +328,7 @@ def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
 
 
 def _use(segments: Sequence[Segment], length: int, n_groups: int) -> FloatArray:
-    """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
+    """Return the square roots of sample weights as groups of blocks, (n_groups, length, lanes)."""
     counts = (_of_samples(segment, segment.counts) for segment in segments)
     rows = (
         used if segment.weights is None else used * np.sqrt(_of_samples(segment, segment.weights))
@@ -338,7 +338,7 @@ def _use(segments: Sequence[Segment], length: int, n_groups: int) -> FloatArray:
 
 
 def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
-    """Return the values of a record at the samples of a segment, (n, 1); ones for None."""
+    """Return a record's values at the samples of a segment, (n, 1); ones for None."""
     return segment.part(np.broadcast_to(1.0, len(segment.outputs)) if values is None else values)[:, None]
 
 
@@ -357,7 +357,7 @@ def in_groups(parts: Iterable[FloatArray], length: int, n_groups: int) -> FloatA
 
 
 class BlockSums(NamedTuple):
-    """Results of a pass: sums over all blocks, then values of each of the W blocks, with padding.
+    """Results of a pass: sums over all blocks, and values of each of the W blocks (with padding).
 
     Attributes
     ----------
@@ -387,7 +387,7 @@ class BlockSums(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """States and errors of all blocks.
+    """States and errors of all blocks in a pass without sensitivities.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Kernel of linear predictors for missing output samples and irregular times, and the Kalman gains after each gap.
+"""Linear predictors with missing output samples or irregular times: kernel, and Kalman gains after each gap.
 
 At irregular times each interval has matrices F and G of its own; the first regressor is its number. The correction by
 an error lasts as long as the interval: e is constant between samples, as in the model of even times.
@@ -29,7 +29,7 @@ from gbid.identify.predictor import PredictorValues
 
 
 class GapKernel(KernelOfLinear, PortablePasses):
-    """Kernel of a linear predictor over samples of which some are missing, in numpy; a `Kernel`."""
+    """Kernel of a linear predictor with missing output samples, in numpy; a `Kernel`."""
 
     def onwards(self, v: PredictorValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the next states and the weighted outputs; see `SampleKernel`."""
@@ -55,7 +55,7 @@ class GapKernel(KernelOfLinear, PortablePasses):
 
 
 class _Step(NamedTuple):
-    """A sample of many blocks side by side.
+    """Step of one sample for many blocks side by side.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class _Step(NamedTuple):
 
 
 def _step(v: PredictorValues, x: FloatArray, z: FloatArray) -> _Step:
-    """Return the step of a sample; behind its regressors `z` stand T and, where outputs are fed back, L."""
+    """Return the step of one sample; T and (with feedback) L follow the regressors in `z`."""
     n_y, (n, n_z), F, G, interval = len(v.C), v.G.shape, v.F, v.G, np.zeros(0, np.int64)
     if v.by_interval is not None:
         interval, z = z[:, 0].astype(np.int64), z[:, 1:]
@@ -105,7 +105,7 @@ def _step(v: PredictorValues, x: FloatArray, z: FloatArray) -> _Step:
 
 
 def _times(matrix: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the products of one matrix, or of a matrix for each row, with the rows (W, n)."""
+    """Return products of one matrix, or of a matrix for each row, with the rows of (W, n)."""
     return np.asarray(rows @ matrix.T if matrix.ndim == 2 else (matrix @ rows[:, :, None])[:, :, 0])
 
 
@@ -113,7 +113,7 @@ def _times(matrix: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def with_constant_gain(segment: Segment, n_states: int, *, feeds_back: bool) -> Segment:
-    """Return a segment for a `GapKernel`, in which missing outputs do not count and the gain stays as it is."""
+    """Return a segment for a `GapKernel` with a constant gain, in which missing outputs do not count."""
     n, n_y = segment.outputs.shape
     T = (np.eye(n_y) * ~np.isnan(segment.measured)[:, None, :]).reshape(n, -1)
     columns = np.hstack([T, np.zeros((n, n_states * n_y))]) if feeds_back else T
@@ -121,7 +121,7 @@ def with_constant_gain(segment: Segment, n_states: int, *, feeds_back: bool) -> 
 
 
 class _Filter(NamedTuple):
-    """Filter of a model over blocks: gains beyond the constant one, and covariances of the errors.
+    """Kalman filter over blocks: gains beyond the constant gain, and covariances of the errors.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
 
 
 def _filter(v: PredictorValues, blocks: Blocks, measured: BoolArray, innovation: FloatArray) -> _Filter:
-    """Run the filter in all blocks side by side, until each begins with the covariance at the end of the one before."""
+    """Run the Kalman filter in all blocks side by side, until the covariances at block boundaries agree."""
     (length, width, n_y), n = measured.shape, len(v.F)
     F, G, intervals = v.F[None], v.G[None], np.zeros((length, width), np.int64)
     if v.by_interval is not None:

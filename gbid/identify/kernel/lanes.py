@@ -1,4 +1,4 @@
-"""Kernel of nonlinear predictors in C: a block in each lane of the vector unit."""
+"""Kernel of nonlinear predictors in C: each lane of the vector unit runs a block."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _OF_OUTPUT, _OF_STEP = (2, 3), (3, 4, 6)  # arguments that are the same for all 
 
 
 def lane_source(functions: SampleFunctions) -> str:
-    """Return C functions of the same names, ``void name(const v *a0, ..., const v *c, v *r0, ...)``.
+    """Return C code of CasADi functions, with the signature ``void name(const v *a0, ..., v *r0, ...)``.
 
     What depends on the constant arguments alone, a fifth of a step with its derivatives, is computed once for a pass:
     ``name_once`` writes it to `c`, whose size is ``name_size``.
@@ -81,7 +81,7 @@ def lane_source(functions: SampleFunctions) -> str:
 
 
 def _written(name: str, f: ca.Function, dense: Sequence[int]) -> str:
-    """Return C of a function, and of the part of it that is constant in a pass.
+    """Return C code of a function, and C code of its part that is constant in a pass.
 
     The entries of the Jacobian of a step by its inputs go to places in dense columns, all others one after the other.
     """
@@ -93,7 +93,7 @@ def _written(name: str, f: ca.Function, dense: Sequence[int]) -> str:
     declared: set[int] = set()
 
     def seen(value: str) -> str:
-        """Return how the rest of the function names a value."""
+        """Return the C name of a value in the part that varies."""
         return f"c[{kept.setdefault(value, len(kept))}]" if value.startswith("k") else value
 
     for k in range(f.n_instructions()):
@@ -149,7 +149,7 @@ _ARGUMENTS = "const v *restrict a, const v *s, const v *restrict b, v *r"
 
 
 def product_source(functions: SampleFunctions) -> str:
-    """Return C functions that put Jacobians in place, multiply columns by them, and feed errors back."""
+    """Return C code that places Jacobians, multiplies columns by them, and feeds errors back."""
     by_start, by_state, by_theta = (functions.output_jacobian.sparsity_out(i) for i in (3, 4, 5))
     of_step, of_input = (functions.step_jacobian.sparsity_out(i) for i in (1, 2))
     F, G, C, D, X = (_pattern(each) for each in (of_step, of_input, by_state, by_theta, by_start))
@@ -181,7 +181,7 @@ def product_source(functions: SampleFunctions) -> str:
 
 
 def places_of(sparsity: ca.Sparsity) -> list[int]:
-    """Return where the entries of a matrix are in its dense columns."""
+    """Return the positions of a sparse matrix's entries in its dense columns."""
     return [column * sparsity.size1() + row for _, row, column in _entries(sparsity)]
 
 
@@ -202,7 +202,7 @@ def _dense(pattern: BoolArray) -> dict[tuple[int, int], int]:
 
 
 def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray, n_plain: slice) -> Iterator[str]:
-    """Yield C of ``r = A s`` over the plain columns, ``NAME_states``, and ``r = b + A s`` over the rest, ``NAME_rest``.
+    """Yield C code of ``r = A s`` for plain columns (``NAME_states``) and ``r = b + A s`` for others (``NAME_rest``).
 
     They are loops over neighbours of the same kind: with the same rows that can differ from zero.
     """
@@ -229,7 +229,7 @@ def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray,
 
 
 def _feed(by_state: ca.Sparsity, by_theta: ca.Sparsity, through: BoolArray) -> str:
-    """C that takes what the error, ``y - yhat``, feeds back from the Jacobians by the state and by theta."""
+    """C code that subtracts the feedback of the error from the Jacobians with respect to state and theta."""
     lines = [
         f"  {onto}[{column}*N + {i}] -= {entry}[{k}]*by_e[{row}*N + {i}];"
         for entry, onto, sparsity in (("C", "by_x", by_state), ("D", "by_theta", by_theta))
@@ -276,7 +276,7 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         return self.begins([v], blocks, starts)[0]
 
     def begins(self, points: Sequence[NonlinearValues], blocks: Blocks, starts: FloatArray) -> list[FloatArray]:
-        """Return the states at the starts of blocks for several points, which are run side by side; see `SampleKernel`.
+        """Return the states at the starts of blocks for several points, run side by side; see `SampleKernel`.
 
         Points with other whole samples in their delays have other regressors, and are run one by one.
         """
@@ -294,7 +294,7 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
     def run_forwards(
         self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
     ) -> None:
-        """Write states, errors, ends and products of errors; see `CompiledPasses`."""
+        """Compute states, errors, ends and products of errors, into given arrays; see `CompiledPasses`."""
         arrays = [blocks.z(v.shift), blocks.y, blocks.used, blocks.by_group(begin)]
         self._call("passed", v, blocks, len(blocks.y), arrays, results)
 
@@ -336,14 +336,14 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         arrays: Sequence[npt.NDArray[Any]],
         results: Sequence[npt.NDArray[Any] | None],
     ) -> None:
-        """Run a function over so many groups or windows of blocks."""
+        """Run a compiled function over a number of groups or windows of blocks."""
         function = getattr(self._library, f"gbid_{name}")
         run_compiled(function, (count, blocks.length, v.steps), [v.theta, v.known, *arrays], results)
 
 
 @lru_cache(maxsize=32)
 def source_of(functions: SampleFunctions) -> str:
-    """Return the C source of the runner of a predictor."""
+    """Return the C source of the kernel of a predictor."""
     n, n_y, n_p = functions.output.size1_in(0), functions.output.size1_out(1), functions.output.size1_in(2)
     sizes = {
         "N": n,

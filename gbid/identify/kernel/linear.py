@@ -1,4 +1,4 @@
-"""Kernel of linear predictors: blocks side by side, linked by powers of the transition; in C, and in numpy without."""
+"""Kernels of linear predictors, in C and in numpy: blocks side by side, linked by powers of the transition matrix."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gbid.identify.predictor import PredictorValues
 
 
 class Backwards(NamedTuple):
-    """Model run forwards, and its adjoint run backwards over all blocks.
+    """Results of a forward pass of the model and a backward pass of its adjoint.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Backwards(NamedTuple):
 
 
 class LinearKernel(KernelOfLinear):
-    """Kernel of a linear predictor, whose transition is the same for all samples; passes over blocks are abstract."""
+    """Base of the kernels of linear predictors, which have one transition matrix for all samples."""
 
     def trace(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]
@@ -72,7 +72,7 @@ class LinearKernel(KernelOfLinear):
     def begin(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray | None = None
     ) -> FloatArray:
-        """Return the state at the start of each block, with the transition of a block if it is known; see `Kernel`."""
+        """Return the state at the start of each block, optionally from a known block transition; see `Kernel`."""
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
         transition = np.linalg.matrix_power(v.F, blocks.length) if transition is None else transition
@@ -82,7 +82,7 @@ class LinearKernel(KernelOfLinear):
         return along_windows(blocks, starts.T[:, :, None], kept[0][1][:, :, None], transition)[:, :, 0]
 
     def gradient(self, v: PredictorValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient by the adjoint: less work than a pass with sensitivities.
+        """Return the gradient by the adjoint method, cheaper than a pass with sensitivities.
 
         ``w`` are the weighted errors, and ``a[k]`` is the derivative of the cost by the state at sample k. The adjoint
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
@@ -94,7 +94,7 @@ class LinearKernel(KernelOfLinear):
     def left_out(
         self, v: PredictorValues, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the second-order term from two passes for all columns together; see `Kernel`.
+        """Return the second-order term of the Hessian, in two passes for all columns; see `Kernel`.
 
         With the adjoint a, the weighted errors w and the sensitivities ``s_j`` of the state, it is the sum over k of
 
@@ -181,7 +181,7 @@ class LinearKernel(KernelOfLinear):
 
     @abstractmethod
     def second_pass(self, v: PredictorValues, blocks: Blocks, back: Backwards) -> tuple[FloatArray, FloatArray]:
-        """Run the sensitivities of the states, each block from a start that does not depend on the parameters.
+        """Return sums of the adjoint times state sensitivities; the start of each block does not depend on parameters.
 
         Returns
         -------
@@ -193,7 +193,7 @@ class LinearKernel(KernelOfLinear):
 
 
 def _back_along_windows(blocks: Blocks, single: FloatArray, transition: FloatArray) -> FloatArray:
-    """Return the adjoint at the start of every block, (n, W), from the adjoints of single blocks."""
+    """Return the adjoint at the start of every block, (n, W), from the adjoints of separate blocks."""
     backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
     inside = backwards >= 0
     blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)
@@ -203,7 +203,7 @@ def _back_along_windows(blocks: Blocks, single: FloatArray, transition: FloatArr
 
 
 def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
-    """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
+    """Return derivatives with respect to parameters from derivatives with respect to matrix entries."""
     n, n_p = len(v.F), len(v.dF)
     pairs = ((v.dF, sums[:n, :n]), (v.dG, sums[:n, n:]), (v.dC, sums[n:, :n]), (v.dH, sums[n:, n:]))
     return np.asarray(sum(slopes.reshape(n_p, -1) @ products.ravel() for slopes, products in pairs))
@@ -213,7 +213,7 @@ def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
 
 
 class PortableLinearKernel(LinearKernel, PortablePasses):
-    """Kernel of a linear predictor on a machine without a C compiler, in numpy; a `Kernel`."""
+    """Kernel of a linear predictor in numpy, for machines without a C compiler; a `Kernel`."""
 
     def onwards(self, v: PredictorValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the next states and the outputs; see `SampleKernel`."""
@@ -271,7 +271,7 @@ class PortableLinearKernel(LinearKernel, PortablePasses):
 
 
 def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArray:
-    """Return states and regressors of all samples, (n_groups, length, n + n_z, lanes)."""
+    """Return states and regressors of all samples, joined: (n_groups, length, n + n_z, lanes)."""
     return np.concatenate([states, blocks.z(v.shift)], axis=2)
 
 
@@ -279,7 +279,7 @@ def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArr
 
 
 class KernelPattern(NamedTuple):
-    """Pattern of the entries of the predictor's matrices that may differ from zero; equal by content.
+    """Pattern of nonzeros of the predictor's matrices; equal by content.
 
     Attributes
     ----------
@@ -300,7 +300,7 @@ class KernelPattern(NamedTuple):
 
     @classmethod
     def of(cls, v: PredictorValues) -> KernelPattern:
-        """Return the entries that differ from zero at one parameter value."""
+        """Return the pattern of nonzeros at one parameter value."""
         return cls(*(array != 0 for array in v[:8]))
 
     def __eq__(self, other: object) -> bool:
@@ -313,16 +313,16 @@ class KernelPattern(NamedTuple):
         return tuple((array.shape, array.tobytes()) for array in self)
 
     def union(self, other: KernelPattern) -> KernelPattern:
-        """Entries of either."""
+        """Union of two patterns."""
         return KernelPattern(*(mine | theirs for mine, theirs in zip(self, other, strict=True)))
 
     def live(self, i: int) -> BoolArray:
-        """Return which states ever depend on a parameter if none does at the start, (n,)."""
+        """Return which states ever depend on parameter `i`, given that no initial state does, (n,)."""
         return reached(self.F, self.dF[i].any(axis=1) | self.dG[i].any(axis=1))
 
 
 def reached(F: BoolArray, first: BoolArray) -> BoolArray:
-    """Return the pattern of ``F^k first`` for all k: where a recursion that begins with `first` differs from zero."""
+    """Return the nonzero pattern of ``F^k first`` for all k, as of a recursion that starts with `first`."""
     for _ in F:  # a product of more than n factors has no other entries
         first = first | (F @ first)
     return first
@@ -336,7 +336,7 @@ def reached(F: BoolArray, first: BoolArray) -> BoolArray:
 
 @lru_cache(maxsize=32)
 def kernel_source(pattern: KernelPattern) -> str:
-    """Return the C source of ``gbid_pass``, ``gbid_predict`` and ``gbid_adjoint``: one unit without includes."""
+    """Return C source of ``gbid_pass``, ``gbid_predict`` and ``gbid_adjoint``: one unit without includes."""
     n_p = len(pattern.dF)
     return _source(
         "linear_pass.c",
@@ -350,7 +350,7 @@ def kernel_source(pattern: KernelPattern) -> str:
 
 @lru_cache(maxsize=32)
 def second_source(pattern: KernelPattern) -> str:
-    """Return the C source of ``gbid_second``: one unit without includes."""
+    """Return C source of ``gbid_second``: one unit without includes."""
     n, n_p = len(pattern.F), len(pattern.dF)
     step = []
     for i in range(n_p):
@@ -361,7 +361,7 @@ def second_source(pattern: KernelPattern) -> str:
 
 
 def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
-    """Return a file of C for the sizes of a pattern, with further numbers and statements."""
+    """Return a C template of this folder, filled with sizes and statements for a pattern."""
     (n, n_z), n_y, n_p = pattern.G.shape, len(pattern.C), len(pattern.dF)
     lines = {
         key: part if isinstance(part, int) else "\n".join("      " + s for s in part) for key, part in parts.items()
@@ -370,7 +370,7 @@ def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
 
 
 def filled(name: str, parts: Mapping[str, object]) -> str:
-    """Return a file of C of this folder with what these share, and parts in place of their names, ``@NAME@``."""
+    """Return a C template of this folder with ``@NAME@`` replaced by parts, and with the shared workspace header."""
     text = c_source("gbid.identify.kernel", name)
     for key, part in {"WORKSPACE": c_source("gbid.identify.kernel", "workspace.h").rstrip(), **parts}.items():
         text = text.replace(f"@{key}@", str(part))
@@ -378,29 +378,29 @@ def filled(name: str, parts: Mapping[str, object]) -> str:
 
 
 def _padded(n: int) -> int:
-    """Return the columns of responses to n states in memory: a multiple of four."""
+    """Return the number of columns of responses in memory: n rounded up to a multiple of four."""
     return -(-n // 4) * 4
 
 
 def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
-    """Return the products of a row's nonzeros with a vector: ``coefficient[offset + j] * vector[j]``."""
+    """Return C terms of a matrix row times a vector: ``coefficient[offset + j] * vector[j]`` for nonzeros."""
     return [f"{coefficient}[{offset + j}]*{vector}[{j}]" for j in np.flatnonzero(row)]
 
 
 def _sum(terms: list[str]) -> str:
-    """Return the sum of terms as C writes it; a zero without terms."""
+    """Return the sum of terms in C; a zero without terms."""
     return " + ".join(terms) if terms else "zero"
 
 
 def _errors(p: KernelPattern) -> list[str]:
-    """Error of every output."""
+    """C statements for the error of every output."""
     n, n_z = p.G.shape
     sums = [_sum(_terms(p.C[j], "C", j * n, "x") + _terms(p.H[j], "H", j * n_z, "z")) for j in range(len(p.C))]
     return [f"e[{j}] = (y[{j}] - ({yhat})) * m;" for j, yhat in enumerate(sums)]
 
 
 def _outputs(p: KernelPattern) -> list[str]:
-    """Error of every output and its weighted value."""
+    """C statements for the error and the weighted value of every output."""
     n_y = len(p.C)
     lines = _errors(p)
     for a in range(n_y):
@@ -415,7 +415,7 @@ def _state(p: KernelPattern) -> list[str]:
 
 
 def _adjoint(p: KernelPattern) -> list[str]:
-    """Step of the adjoint from the state after a sample to the state at it."""
+    """C statements for one backward step of the adjoint."""
     n = len(p.F)
     lines = []
     for c in range(n):
@@ -426,7 +426,7 @@ def _adjoint(p: KernelPattern) -> list[str]:
 
 
 def _sensitivity(p: KernelPattern, i: int) -> list[str]:
-    """Step of one parameter's sensitivity: outputs into the buffer, then the state."""
+    """C statements for one parameter's sensitivity: outputs to the buffer, then the next state."""
     n, n_z = p.G.shape
     n_y, live = len(p.C), p.live(i)
     lines = ["{", f"v *restrict s = S + {i * n};"]
@@ -444,7 +444,7 @@ def _sensitivity(p: KernelPattern, i: int) -> list[str]:
 
 
 def _state_sensitivity(p: KernelPattern, i: int) -> dict[int, str]:
-    """Return for each state that depends on a parameter its sensitivity after a sample, from `s` at the sample."""
+    """Return for each sensitive state the C expression of its sensitivity after a sample, from `s`."""
     (n, n_z), live = p.G.shape, p.live(i)
     return {
         int(r): _sum(
@@ -462,7 +462,7 @@ LONGEST_SOURCE = 200_000
 
 
 class CompiledPasses(Kernel):
-    """States and errors of a compiled kernel, which writes them to arrays; in part a `Kernel`.
+    """Passes of a compiled kernel, which write states and errors to arrays; in part a `Kernel`.
 
     Attributes
     ----------
@@ -475,7 +475,7 @@ class CompiledPasses(Kernel):
 
     @abstractmethod
     def run_forwards(self, v: Any, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]) -> None:
-        """Write states, errors, ends and products of errors of all blocks; all but the products may be None."""
+        """Compute states, errors, ends and products of errors, into given arrays (None to skip)."""
 
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors from the starts of blocks; see `Kernel`."""
@@ -486,7 +486,7 @@ class CompiledPasses(Kernel):
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
 
     def errors(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the errors without states in memory; see `Kernel`."""
+        """Return the errors without storing states; see `Kernel`."""
         (n_groups, _, n_y, lanes), errors = blocks.y.shape, np.empty_like(blocks.y)
         results = [None, errors, None, np.empty((n_groups, n_y, n_y, lanes))]
         self.run_forwards(v, blocks, self.begin(v, blocks, starts), results)
@@ -508,7 +508,7 @@ class CompiledPasses(Kernel):
 
 
 class CompiledLinearKernel(CompiledPasses, LinearKernel):
-    """Compiled kernel of a linear predictor, built for the nonzeros that it has met; a `Kernel`.
+    """Kernel of a linear predictor in C, compiled for its pattern of nonzeros; a `Kernel`.
 
     Parameters
     ----------
@@ -533,7 +533,7 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         self._second: Any = None  # compiled when it is needed first
 
     def _regressors(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
-        """Return the regressors; build the kernel anew if the predictor has new nonzeros."""
+        """Return the regressors; recompile the kernel if the predictor has new nonzeros."""
         if v is not self._known:  # a gradient runs four passes of one predictor
             if np.concatenate([array.ravel() for array in v[:8]])[self._zeros].any():
                 self._build(self._pattern.union(KernelPattern.of(v)))
@@ -560,7 +560,7 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
     def run_forwards(
         self, v: PredictorValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
     ) -> None:
-        """Write states, errors, ends and products of errors; see `CompiledPasses`."""
+        """Compute states, errors, ends and products of errors, into given arrays; see `CompiledPasses`."""
         arrays = [*v[:4], self._regressors(v, blocks), blocks.y, blocks.used, blocks.by_group(begin)]
         run_compiled(self._predict, blocks.y.shape[:2], arrays, results)
 
@@ -609,13 +609,13 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
 
 
 def _by_rows(matrix: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return where the rows of a matrix without its zeros begin and end, and the columns and values of its entries."""
+    """Return a sparse matrix by rows (CSR): limits of the rows, columns and values of the entries."""
     rows, columns = np.nonzero(matrix)
     ends = np.searchsorted(rows, np.arange(len(matrix) + 1)).astype(np.int64)
     return ends, columns.astype(np.int64), matrix[rows, columns]
 
 
 def _aligned(size: int) -> FloatArray:
-    """Return an array of so many numbers at an address of a vector."""
+    """Return an array of given size at an address aligned for vectors."""
     room = np.empty(size + LANES)
     return room[-(room.__array_interface__["data"][0] // 8) % LANES :][:size]

@@ -1,4 +1,4 @@
-"""Kernel of nonlinear predictors: blocks run side by side, and are linked by their own transitions."""
+"""Kernels of nonlinear predictors: blocks run side by side, linked by their separate transitions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIFFERENCE = 1e-5  # relative step of a central difference, for the predictor o
 
 
 class NonlinearKernel(SampleKernel):
-    """Kernel of a nonlinear predictor; a `Kernel`.
+    """Base of the kernels of nonlinear predictors; a `Kernel`.
 
     A block begins where the model passes by, so that windows of several blocks are exact as well. One sample is that
     of CasADi's map; passes over the blocks are abstract.
@@ -46,7 +46,7 @@ class NonlinearKernel(SampleKernel):
         sweep: Sweep | None,
         state_scale: FloatArray,
     ) -> float:
-        """Return the largest growth along the trajectory of a segment; see `Kernel`."""
+        """Return the largest growth of a small deviation along a segment's trajectory; see `Kernel`."""
         if sweep is None:
             return np.nan
         by_start = sweep.end_start / state_scale[:, None] * state_scale
@@ -55,7 +55,7 @@ class NonlinearKernel(SampleKernel):
         return max(growth_along(piece, window * len(piece)) for piece in pieces)
 
     def feedback(self, v: NonlinearValues, blocks: Blocks, prediction: Prediction) -> PredictorValues:
-        """Return the predictor of small deviations from the mean state and the mean regressors; see `Kernel`.
+        """Return the predictor linearised at the mean state and the mean regressors; see `Kernel`.
 
         For a linear structure it is the predictor itself. Its regressors are the measured outputs alone.
         """
@@ -66,7 +66,7 @@ class NonlinearKernel(SampleKernel):
         size = np.where(size > 0, size, 1.0)
 
         def one_sample(at: NonlinearValues, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return the state after a sample, and the derivatives of state and outputs by the state before."""
+            """Return the state after a sample, and derivatives of state and outputs with respect to the state."""
             slopes = np.concatenate([np.zeros((len(x), v.n_parameters)), np.eye(len(x))], axis=1)
             after, slopes, _, psi = self.with_slopes(at, x[None], z[None], slopes[None])
             return after[0], slopes[0][:, v.n_parameters :], psi[0][:, v.n_parameters :]
@@ -98,7 +98,7 @@ class NonlinearKernel(SampleKernel):
     def _through(
         self, v: NonlinearValues, x: FloatArray, z: FloatArray
     ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-        """Return the states before and after each step of the integrator, the outputs, and the errors fed back."""
+        """Return states around each integrator step, the outputs, and the errors fed back."""
         output, step = self._mapped("output", len(x)), self._mapped("step", len(x))
         at, yhat, e = (r.copy() for r in output(x[:, None], z[:, None], v.theta, v.known))
         passed = [at]
@@ -127,7 +127,7 @@ class NonlinearKernel(SampleKernel):
         return at[:, 0], S, yhat[:, 0], psi
 
     def window_starts(self, v: NonlinearValues, blocks: Blocks, weight: FloatArray, first: FloatArray) -> FloatArray:
-        """Return the least-squares state at the start of each window, (n_windows, n).
+        """Return the least-squares estimate of the state at the start of each window, (n_windows, n).
 
         Each window is a small least-squares problem of its own. Levenberg's and Marquardt's method solves all of them
         at once.
@@ -182,7 +182,7 @@ class NonlinearKernel(SampleKernel):
         return np.asarray(starts)
 
     def _from_outputs(self, v: NonlinearValues, blocks: Blocks) -> FloatArray:
-        """Return the smallest states with the outputs of the first sample of each window, to first order at zero."""
+        """Return minimum-norm states that give the first outputs of each window, linearised at zero."""
         n, n_y = blocks.predictor.n_states, blocks.predictor.n_outputs
         group, lane = np.divmod(blocks.window_first, blocks.lanes)
         z, y = blocks.z(v.shift)[group, 0, :, lane], blocks.y[group, 0, :, lane]
@@ -213,11 +213,11 @@ class NonlinearKernel(SampleKernel):
 
 
 class MappedKernel(NonlinearKernel, PortablePasses):
-    """Kernel of a nonlinear predictor on a machine without a C compiler, by CasADi's map; a `Kernel`."""
+    """Kernel of a nonlinear predictor by CasADi's map, for machines without a C compiler; a `Kernel`."""
 
 
 class Mapped:
-    """Function for many columns at once, evaluated without copies.
+    """CasADi function evaluated for many columns at once, without copies.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ class Mapped:
             self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]  # as above
 
     def __call__(self, *arguments: FloatArray | float) -> list[FloatArray]:
-        """Return results (width, columns, rows) for arguments of this shape, or one value for all columns."""
+        """Return results (width, columns, rows) for arguments of this layout, or of one value for all columns."""
         for array, value in zip(self._arguments, arguments, strict=True):
             array[:] = value
         self._run()
@@ -248,5 +248,5 @@ class Mapped:
 
 
 def _mean(values: FloatArray, live: BoolArray) -> FloatArray:
-    """Return the mean of values (n_groups, length, n, lanes) over the samples of all blocks, (n,)."""
+    """Return the mean over the samples of all blocks of values (n_groups, length, n, lanes), (n,)."""
     return np.asarray(np.where(live[:, :, None], values, 0.0).sum(axis=(0, 1, 3)) / live.sum())

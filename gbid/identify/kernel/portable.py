@@ -1,4 +1,4 @@
-"""Passes over the samples without a C compiler: all blocks at once, one sample after the other."""
+"""Passes over the samples in numpy, without a C compiler: all blocks at once, one sample after another."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.identify.kernel.sums import SampleKernel, SampleSums
 
 
 class PortablePasses(SampleKernel):
-    """Passes of a kernel without a C compiler; in part a `Kernel`."""
+    """Passes of a kernel in numpy; in part a `Kernel`."""
 
     engine = "numpy"
 
@@ -87,19 +87,19 @@ class PortablePasses(SampleKernel):
     def _with_slopes(
         self, v: Any, z: FloatArray, x: FloatArray, slopes: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        """Yield for each sample the state after it, its derivatives, the outputs and their derivatives."""
+        """Yield for each sample the next state, the outputs, and the derivatives of both."""
         for now in z:
             x, slopes, yhat, psi = self.with_slopes(v, x, now, slopes)
             yield x, slopes, yhat, psi
 
 
 def _counted(used: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values with zeros at samples that do not count, even if the values overflow."""
+    """Return values with zeros at samples outside the cost, even where the values overflow."""
     return np.where(used != 0, values, 0.0)
 
 
 def flat(values: FloatArray) -> FloatArray:
-    """Return groups side by side: (n_groups, length, n, lanes) to (length, n_groups * lanes, n)."""
+    """Return groups side by side: (n_groups, length, n, lanes) as (length, n_groups * lanes, n)."""
     n_groups, length, n, lanes = values.shape
     return np.ascontiguousarray(values.transpose(1, 0, 3, 2)).reshape(length, n_groups * lanes, n)
 

@@ -1,4 +1,4 @@
-"""Kernel of frequency responses: errors of a linear structure in standard deviations, with their derivatives."""
+"""Kernel of frequency responses: weighted errors of a linear structure, and their derivatives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.structure import LinearModel
 
 
 class LikelihoodSums(NamedTuple):
-    """Negative log-likelihood but for a constant, with its gradient and Gauss-Newton Hessian."""
+    """Negative log-likelihood up to a constant, with gradient and Gauss-Newton Hessian."""
 
     cost: float
     gradient: FloatArray
@@ -25,7 +25,7 @@ class LikelihoodSums(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ResponseGroup:
-    """Frequency response in a problem: a part without samples and windows, whose errors have known deviations.
+    """Frequency response as a part of a problem: without samples and windows, with known standard deviations.
 
     The cost is ``sum |G(f) - G_measured(f)|^2 / (2 std^2)`` over real and imaginary parts: the likelihood (Pintelon and
     Schoukens, System Identification, 2012, Sec. 9.11). Delays are exact. The errors of neighbours that a spectral
@@ -50,7 +50,7 @@ class ResponseGroup:
 
     @property
     def weight(self) -> float:
-        """Share of the responses that are independent, as the errors of neighbours are correlated."""
+        """Share of independent responses: errors at neighbouring frequencies are correlated."""
         return 1 / (1 + 2 * sum(self.data.correlation))
 
     @property
@@ -60,11 +60,11 @@ class ResponseGroup:
 
     @property
     def n_numbers(self) -> int:
-        """Number of real and imaginary parts."""
+        """Number of measured real and imaginary parts."""
         return 2 * int(self.measured.sum())
 
     def errors(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return errors (n, n_outputs, n_inputs) and derivatives (n_p, ...); zero where nothing was measured."""
+        """Return errors (n, n_outputs, n_inputs) and derivatives (n_p, ...); zero where not measured."""
         (A, B, C, D, _, B_delayed, delays), slopes, dt = matrices_with_slopes(self.predictor, theta[self.index])
         model = LinearModel(A.value, B.value, C.value, D.value, dt=dt)
         if self.predictor.delayed:
@@ -77,7 +77,7 @@ class ResponseGroup:
         return error, response_slopes(model, ModelSlopes(*slopes), f) / sigma
 
     def sums(self, theta: FloatArray) -> LikelihoodSums:
-        """Return the negative log-likelihood by the predictor's parameters."""
+        """Return negative log-likelihood, gradient and Hessian with respect to the predictor's parameters."""
         error, changes = self.errors(theta)
         rows, slopes = (_as_rows(values, axes) for values, axes in ((error, 0), (changes, 1)))
         return LikelihoodSums(
@@ -85,7 +85,7 @@ class ResponseGroup:
         )
 
     def score_products(self, theta: FloatArray) -> FloatArray:
-        """Return the sum over frequencies of the products of their gradients, (n_p, n_p).
+        """Return the sum over frequencies of the outer products of gradients, (n_p, n_p).
 
         It contains what outputs have in common.
         """
@@ -95,6 +95,6 @@ class ResponseGroup:
 
 
 def _as_rows(values: ComplexArray, axes: int) -> FloatArray:
-    """Return real parts before imaginary ones in the last axis, after so many axes."""
+    """Return real parts followed by imaginary parts along the last axis; the first axes are kept."""
     flat = values.reshape(*values.shape[:axes], -1)
     return np.concatenate([flat.real, flat.imag], axis=-1)

@@ -1,4 +1,4 @@
-"""Functions of one sample of a nonlinear predictor, with sensitivities, as casadi.Function.
+"""Nonlinear predictors: functions of one sample with sensitivities, as casadi.Function.
 
 A sample is an output and several steps of the integrator. The functions of both are small, whatever the number of
 steps: the kernels run the loops.
@@ -35,7 +35,7 @@ from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, 
 
 
 class SampleEquations(NamedTuple):
-    """Equations of a sample as casadi.SX.
+    """Equations of one sample as casadi.SX.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SampleEquations(NamedTuple):
 
 
 class SampleFunctions(NamedTuple):
-    """Functions of a sample, with Jacobians that keep their zeros.
+    """Functions of one sample, with sparse Jacobians.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class SampleFunctions(NamedTuple):
 
 
 class _ByContent:
-    """Equations that are equal when their content is, since symbols of CasADi are equal only to themselves."""
+    """Equations compared by content: CasADi compares symbols by identity."""
 
     def __init__(self, equations: SampleEquations) -> None:
         symbols, rest = [equations.x, equations.theta, equations.known, equations.u], equations._asdict()
@@ -132,7 +132,7 @@ class _ByContent:
 
 @lru_cache(maxsize=32)
 def _functions(equations: _ByContent) -> SampleFunctions:
-    """Return the functions of a sample, once for the fits of a campaign."""
+    """Return the functions of one sample, cached for all fits of a campaign."""
     eq = equations.equations
     lead, walking = [i for i in eq.prompt if eq.holds[i] == "foh"], eq.disturbances.walking
     n, n_y = eq.x.numel(), eq.y.numel()
@@ -191,7 +191,7 @@ def _function(
 
 
 def _parts(column: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
-    """Return parts of a column with these numbers of rows, of which some may be zero."""
+    """Return a column split into parts of given numbers of rows, which may be zero."""
     ends = list(itertools.accumulate(widths, initial=0))
     return [column[a:b] for a, b in itertools.pairwise(ends)]
 
@@ -200,7 +200,7 @@ def _parts(column: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
 
 
 class NonlinearValues(NamedTuple):
-    """Nonlinear predictor at one parameter vector.
+    """Nonlinear predictor at given parameter values.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ class NonlinearPredictor(GeneralPredictor):
     _delay: ca.Function
 
     def at(self, theta: FloatArray) -> NonlinearValues:
-        """Return the predictor at values of the free parameters, shape (n_free,).
+        """Return the predictor at given values of the free parameters, shape (n_free,).
 
         Raises
         ------
@@ -270,17 +270,17 @@ class NonlinearPredictor(GeneralPredictor):
         return NonlinearValues(theta, known, self.steps, tuple(int(each) for each in shift))
 
     def _interval_column(self, time: FloatArray) -> FloatArray:
-        """Return the interval itself [s]; see `GeneralPredictor`."""
+        """Return the sampling interval [s]; see `GeneralPredictor`."""
         return np.diff(time, append=time[-1])[:, None]
 
     def delay_slopes(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the delays of all inputs by the free parameters, (n_free, n_inputs)."""
+        """Return derivatives of the delays with respect to the free parameters, (n_free, n_inputs)."""
         slopes = np.zeros((len(self.free), self.n_inputs))
         slopes[:, list(self.delayed)] = np.asarray(self._delay(theta, self.known)[1], float).T
         return slopes
 
     def released_state(self, theta: FloatArray) -> FloatArray:
-        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        """Return the initial state given by parameters, (n_states,); zero for other states."""
         return np.asarray(self._x0(theta, self.known), float).ravel()
 
 

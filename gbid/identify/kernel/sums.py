@@ -1,4 +1,4 @@
-"""Sums over the samples: cost, gradient, Gauss-Newton Hessian and end states of each window; protocol of a kernel.
+"""Sums over the samples: cost, gradient, Gauss-Newton Hessian and window ends; protocol of a kernel.
 
 The predictor is linear in the state, so the pass is a recursion over ``x`` and its parameter sensitivities
 ``s_i = dx / dtheta_i``:
@@ -90,7 +90,7 @@ _IN_CACHE = 32_768  # values of windows that are linked together
 
 
 def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
-    """Return values at the start of each block, (n, W, m): of its window, else of the end of the block before.
+    """Return the state at the start of each block, (n, W, m): the window's start, else the previous block's end.
 
     Inner blocks of a window are of full length, so one `transition` serves all. `starts` are the values at the starts
     of the windows, (n, n_windows, m). `ends` is what each block adds from its start to its end, (n, W, m).
@@ -105,7 +105,7 @@ def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transiti
 
 
 def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
-    """Return the Hessian by the start of each block, (W, n, n), from the weighted response to it, (length, n_y, n).
+    """Return Hessians with respect to block starts, (W, n, n), from weighted free responses (length, n_y, n).
 
     It is the same matrix for all blocks whose samples all count.
     """
@@ -120,7 +120,7 @@ def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
 
 
 class Linked(NamedTuple):
-    """Sensitivities of every block's start within its window.
+    """Sensitivities of the start of each block within its window.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Linked(NamedTuple):
 
 
 def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
-    """Return the sensitivities of the starts of blocks, whose transitions are `powers` of one matrix."""
+    """Return the sensitivities of block starts, for blocks with one transition matrix; `powers` are its powers."""
     n_blocks, n, n_p = end_theta.shape
     last = blocks.window_first + blocks.window_size - 1
     ends_theta, transition = end_theta[last], powers[blocks.size[last]]
@@ -176,7 +176,7 @@ def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: L
 
 
 def tied(sweep: Sweep, tie: FloatArray | None) -> Sweep:
-    """Return a sweep by the unknowns theta of a problem: the parameters of the predictor are ``tie @ theta``.
+    """Return sums with respect to the unknowns of a problem: parameters of the predictor are ``tie @ theta``.
 
     Without a matrix `tie`, (n_own, n_p), both are the same.
     """
@@ -201,7 +201,7 @@ def spectral_radius(v: PredictorValues) -> float:
 
 
 def growth_along(transitions: FloatArray, samples: int) -> float:
-    """Return the growth of a small deviation in a sample, along a trajectory.
+    """Return the mean growth in a sample of a small deviation along a trajectory.
 
     It is that over the second half of the trajectory: a deviation that grows like time, as the phase of an oscillator
     does, is not unstable. Less than a tenfold growth counts as none.
@@ -224,7 +224,7 @@ def growth_along(transitions: FloatArray, samples: int) -> float:
 
 
 def _product(steps: FloatArray) -> tuple[FloatArray, float]:
-    """Return the product of all steps, the last on the left, and the logarithm of the factor that is left out.
+    """Return the product of all step matrices (last one on the left), scaled, and the logarithm of the scale.
 
     Neighbours are multiplied with one another, then their products, so that few calls do all.
     """
@@ -241,7 +241,7 @@ def _product(steps: FloatArray) -> tuple[FloatArray, float]:
 
 
 class Traced(NamedTuple):
-    """Sums of a pass by window and by block, with the sensitivities of the starts of blocks.
+    """Sums of a pass by window and by block, with the sensitivities of block starts.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ class Traced(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Predictor with a step in one parameter.
+    """Predictor with a finite-difference step in one parameter.
 
     Attributes
     ----------
@@ -280,7 +280,7 @@ class Moved(NamedTuple):
 
 
 class Lagrangian(NamedTuple):
-    """Point of ``sum e' W e / 2`` plus the states at the ends of windows times multipliers.
+    """Lagrangian at a point: ``sum e' W e / 2`` plus multipliers times the states at window ends.
 
     Attributes
     ----------
@@ -298,7 +298,7 @@ class Lagrangian(NamedTuple):
 
 
 class Kernel(ABC):
-    """Kernel of one kind of predictor. In all methods, `v` is what the ``at`` of the predictor returns.
+    """Protocol of a kernel. In all methods, `v` is the result of the predictor's method ``at``.
 
     `starts` are the states at the starts of the windows, (n_windows, n); `begin` are those at the starts of all W
     blocks, (n, W).
@@ -316,7 +316,7 @@ class Kernel(ABC):
         """Return the sums of a pass with sensitivities, by window and by block, for each weight."""
 
     def sweep(self, v: Any, blocks: Blocks, starts: FloatArray, weight: FloatArray) -> Sweep:
-        """Return cost, gradient, Gauss-Newton Hessian and ends of windows of ``sum e' W e / 2``."""
+        """Return cost ``sum e' W e / 2``, gradient, Gauss-Newton Hessian and states at window ends."""
         return self.trace(v, blocks, starts, [weight])[0].sums
 
     @abstractmethod
@@ -325,18 +325,18 @@ class Kernel(ABC):
 
     @abstractmethod
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
-        """Return states and errors from the starts of the blocks, without sensitivities."""
+        """Return states and errors from the states at block starts, without sensitivities."""
 
     def ends(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
-        """Return the state after the whole length of each block, (n, W), from the starts of the blocks."""
+        """Return the state after the full length of each block, (n, W), from the states at block starts."""
         return self.passed(v, blocks, begin).end
 
     def predict(self, v: Any, blocks: Blocks, starts: FloatArray) -> Prediction:
-        """Return states and errors from the starts of the windows, without sensitivities."""
+        """Return states and errors from the states at window starts, without sensitivities."""
         return self.passed(v, blocks, self.begin(v, blocks, starts))
 
     def errors(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the errors of `predict`, (n_groups, length, n_y, lanes)."""
+        """Return the prediction errors from the states at window starts, (n_groups, length, n_y, lanes)."""
         return self.predict(v, blocks, starts).errors
 
     def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
@@ -357,7 +357,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
-        """Return the second-order term of its Hessian, which Gauss-Newton neglects, in columns of moved parameters.
+        """Return the second-order term of a Lagrangian's Hessian (neglected by Gauss-Newton), for moved parameters.
 
         Returns
         -------
@@ -381,7 +381,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice) -> FloatArray:
-        """Return sensitivities of the predictions by the parameters and the start of the window, for some blocks.
+        """Return sensitivities of predictions to parameters and window start, for some blocks.
 
         Returns
         -------
@@ -391,7 +391,7 @@ class Kernel(ABC):
 
 
 class KernelOfLinear(Kernel):
-    """Answers of a kernel of a linear predictor that need no pass."""
+    """Methods of a linear predictor's kernel that need no pass."""
 
     def growth(
         self,
@@ -419,7 +419,7 @@ _AT_ONCE = 64  # blocks whose sensitivities are made together
 
 
 class SampleSums(NamedTuple):
-    """Results of a pass with sensitivities.
+    """Results of a pass with sensitivities, for each block.
 
     Attributes
     ----------
@@ -437,7 +437,7 @@ class SampleSums(NamedTuple):
 
 
 def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -> Linked:
-    """Return the sensitivities of the starts of blocks, each of which has its own transition.
+    """Return the sensitivities of block starts, for blocks with different transitions.
 
     Parameters
     ----------
@@ -473,7 +473,7 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
 
 
 def by_segments(blocks: Blocks, passes: Sequence[Sweep]) -> list[Sweep]:
-    """Return the sums over the windows of each segment, from passes over windows without gaps at one point."""
+    """Return the sums over the windows of each segment, from passes over gap-free windows at one point."""
     size = np.diff(np.append(blocks.segment_first, blocks.n_windows))
     every = np.arange(len(size))
     windows = replace(
@@ -489,13 +489,13 @@ def by_segments(blocks: Blocks, passes: Sequence[Sweep]) -> list[Sweep]:
 
 
 def _gradient(s: Sweep, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the gradient of a Lagrangian with these multipliers (n_windows, n) of the ends of windows."""
+    """Return the gradient of a Lagrangian; multipliers of window ends are (n_windows, n)."""
     by_theta, by_start = (np.einsum("wn,wnm->wm", ends, each) for each in (s.end_theta, s.end_start))
     return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
 
 
 class SampleKernel(Kernel):
-    """Kernel by the functions of one sample; a `Kernel`.
+    """Kernel based on functions of one sample; a `Kernel`.
 
     A block begins where the model passes by, so that windows of several blocks are exact as well. Each block has a
     transition of its own.
@@ -506,7 +506,7 @@ class SampleKernel(Kernel):
         return self.trace_from(v, blocks, self.begin(v, blocks, starts), weights)
 
     def trace_from(self, v: Any, blocks: Blocks, begin: FloatArray, weights: Sequence[FloatArray]) -> list[Traced]:
-        """Return the sums of each block for each weight, from the starts of blocks (n, W)."""
+        """Return the sums of each block for each weight, from the states at block starts (n, W)."""
         passes = []
         for weight in weights:
             root = np.ascontiguousarray(np.linalg.cholesky(weight).T)
@@ -524,7 +524,7 @@ class SampleKernel(Kernel):
         return _gradient(self.sweep(v, blocks, at.starts, at.weight), at.ends)
 
     def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
-        """Return the second-order term by differences of the gradient; see `Kernel`."""
+        """Return the second-order term by finite differences of the gradient; see `Kernel`."""
         points = [v, *(each.v for each in moved)]
         here, *after = (
             self.trace_from(point, blocks, begin, [at.weight])[0].sums
@@ -561,7 +561,7 @@ class SampleKernel(Kernel):
         """
 
     def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice) -> FloatArray:
-        """Return the sensitivities of some blocks, a few at a time; see `Kernel`."""
+        """Return the sensitivities of some blocks, in small batches; see `Kernel`."""
         n_y, m = blocks.y.shape[2], linked.by_theta.shape[2] + linked.by_start.shape[2]
         every = np.empty((n_y * m, some.stop - some.start, blocks.length))
         for begin in range(some.start, some.stop, _AT_ONCE):

@@ -1,1 +1,1 @@
-"""Shooting problem of a fit, from recordings and options."""
+"""Shooting problem of a fit: assembly, cost and derivatives, solution by IPOPT, refinements."""

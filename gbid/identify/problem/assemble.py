@@ -1,4 +1,4 @@
-"""Problem of a fit from recordings and options: parts with their kernels, links between windows, scales and starts."""
+"""Assembly of the shooting problem: parts with kernels, links between windows, scales and starts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from gbid.structure.linear import in_one_line
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """In piece i the parameters `names` have the values ``maps[i] @ shared``; a record has some pieces.
+    """Linear map from shared unknowns to parameters of each piece i: ``maps[i] @ shared``.
 
     Attributes
     ----------
@@ -66,14 +66,14 @@ class Ties:
     edges: tuple[tuple[int, ...], ...]
 
     def pieces(self, record: int) -> tuple[int, tuple[int, ...]]:
-        """Return the number of the first piece of a record, and the first samples of its other pieces."""
+        """Return the number of a record's first piece, and the first samples of its other pieces."""
         return sum(len(own) + 1 for own in self.edges[:record]), self.edges[record]
 
 
 def tie_of(
     predictor: GeneralPredictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, piece: int
 ) -> tuple[tuple[int, ...], FloatArray]:
-    """Unknowns that one piece of a record sees, and the matrix from them to its predictor's parameters.
+    """Unknowns that affect one piece of a record, and the matrix from them to the predictor's parameters.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ MOST_INSTRUCTIONS = 60_000
 
 
 def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tuple[Kernel, list[str]]:
-    """Return the kernel of a predictor, and notes on its choice.
+    """Return the kernel of a predictor, and notes on the choice.
 
     It is compiled if there is a C compiler and the predictor is not too large to be compiled in seconds. Otherwise it
     is the portable one, and a note says why.
@@ -152,7 +152,7 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tu
 def segments_of(
     record: Record, left_out: Sequence[tuple[int, int]], edges: Sequence[int], *, feeds_back: bool
 ) -> list[tuple[Segment, int]]:
-    """Return the segments of a record, each with the number of its piece: pieces begin at 0 and at the `edges`.
+    """Return the segments of a record with their piece numbers; pieces begin at 0 and at the `edges`.
 
     Without feedback of the outputs the model runs through what is left out, and those samples just do not count. With
     feedback it runs through them on its own: a segment of simulation between two of prediction.
@@ -177,7 +177,7 @@ def segments_of(
 
 
 class Member(NamedTuple):
-    """Segment of a record with its predictor; `columns` are the `index` of `RecordGroup`, and `tie` is its own."""
+    """Segment of a record with its predictor; `columns` and `tie` as `index` and `tie` of `RecordGroup`."""
 
     record: int
     segment: Segment
@@ -189,7 +189,7 @@ class Member(NamedTuple):
 def grouped(
     members: Sequence[Member], window: int | None, begin: Mapping[str, float]
 ) -> tuple[tuple[RecordGroup, ...], IntArray, IntArray, tuple[str, ...]]:
-    """Return parts, links, first windows of the records and notes on the kernels; see `Assembly`.
+    """Return parts, links between windows, first windows of the records, and notes; see `Assembly`.
 
     A part has the segments with the same predictor and parameters, cut into windows of so many samples. `begin` are
     start values, at which the entries of a predictor are found that are zero for good.
@@ -232,7 +232,7 @@ def grouped(
 
 
 def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) -> bool:
-    """Return whether times are irregular, or a missing output is a regressor or is missing beside measured ones.
+    """Return whether a segment needs a `GapKernel`: irregular times, or outputs missing in part.
 
     Raises
     ------
@@ -270,7 +270,7 @@ _WITH_GAPS = 64
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """Data of a fit for the shooting problem.
+    """Data of a fit, assembled for the shooting problem.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class Assembly:
 
     @property
     def n_states(self) -> int:
-        """Number of states of the structure, without the offsets of random walks."""
+        """Number of states of the structure, not counting random-walk offsets."""
         predictor = (self.parts or self.responses)[0].predictor
         return predictor.n_states - len(predictor.disturbances.walking)
 
@@ -314,7 +314,7 @@ class Assembly:
 
     @property
     def own_names(self) -> dict[str, str]:
-        """Names in the structure, by the full names of the free parameters."""
+        """Names in the structure of the free parameters, by full name."""
         return {full: own for names in self.record_names for own, full in names.items()}
 
 
@@ -431,7 +431,7 @@ def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, data: 
 
 
 def _check_names(data: FitData) -> None:
-    """Raise an error for recordings with equal names, because options identify recordings by name."""
+    """Refuse recordings with equal names: options identify recordings by name."""
     names = [record.name for record in data.records]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(
@@ -441,7 +441,7 @@ def _check_names(data: FitData) -> None:
 
 
 def group_name(record: Record, scope: Scope) -> str:
-    """Return the name of the group of records that share a local parameter."""
+    """Return the name of the group of records that share a value of a local parameter."""
     if scope == "recording":
         return record.name
     pressure, speed = (record.conditions.get(key) for key in ("pressure_bar", "speed_rpm"))
@@ -454,7 +454,7 @@ def group_name(record: Record, scope: Scope) -> str:
 
 
 def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
-    """Return shared parameters once and local ones once for each group, in the order of the structure."""
+    """Return the free parameters: shared ones once, local ones once for each group, in the structure's order."""
     free: dict[str, Parameter] = {}
     for q in parameters:
         for names in record_names:
@@ -464,7 +464,7 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
 
 
 def automatic_window(data: FitData, focus: Focus, n_states: int) -> int:
-    """Return a length of the shooting windows for a structure with so many states.
+    """Return a window length (samples) for a structure with a given number of states.
 
     It is short, so that the fit converges from bad start values. The number of windows is a multiple of the lanes.
 
@@ -495,7 +495,7 @@ def automatic_window(data: FitData, focus: Focus, n_states: int) -> int:
 def full_start(
     assembly: Assembly, begin: Mapping[str, float], own: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, float]:
-    """Return start values by full name: one for all groups of a local parameter, and `own` for each record."""
+    """Return start values by full name; `own` has values for each record."""
     full = dict(begin)
     for i, names in enumerate(assembly.record_names):
         known = {**begin, **(own[i] if own else {})}
@@ -513,7 +513,7 @@ def build_problem(
     begin: Mapping[str, float],
     states: InitialStates | None = None,
 ) -> tuple[Shooting, FloatArray]:
-    """Scale the unknowns, and find window starts for the start values.
+    """Return the shooting problem: scaled unknowns, and window starts for the start values.
 
     Parameters
     ----------
@@ -581,13 +581,13 @@ def build_problem(
 
 
 def _scales(theta: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Return the scale of each parameter: that of its curvature, else its size."""
+    """Return the scale of each parameter: from the curvature of the cost, else from its size."""
     size = np.where(theta != 0, np.abs(theta), 1.0)
     return np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), size)
 
 
 def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -> FloatArray:
-    """Return the root mean square of each state in a simulation from the starts of windows, in the largest part."""
+    """Return the rms of each state in a simulation from window starts: the largest of all parts."""
     states = [part.kernel.predict(v, part.blocks, begin).states for v, part, begin in problem.each(values, starts)]
     squares = [np.einsum("gknl,gknl->n", x, x) / (x.size // x.shape[2]) for x in states]
     return np.asarray(np.sqrt(np.max(squares, axis=0)))
@@ -599,7 +599,7 @@ _AS_WELL = 4.0  # squares of the trajectory over those of windows: with twice th
 def _nonlinear_starts(
     problem: Shooting, values: list[Any], weight: FloatArray, first: FloatArray
 ) -> tuple[FloatArray, list[Sweep]]:
-    """Return the starts of all windows and the passes from there.
+    """Return the window starts of nonlinear parts, and the passes from these starts.
 
     They are those of least squares in each window (`NonlinearKernel.window_starts`), or lie on the trajectory from the
     first window, which has no gaps, where that explains the data about as well.
@@ -623,7 +623,7 @@ def _nonlinear_starts(
 
 
 def bounded(problem: Shooting, assembly: Assembly, states: InitialStates | None) -> Shooting:
-    """Return a problem with the bounds of its unknowns; given initial states are fixed."""
+    """Return a problem with bounds of its unknowns; given initial states are fixed."""
     fixed = np.full((problem.n_windows, problem.n_states), np.nan)
     if states is not None:
         fixed[assembly.record_window, : assembly.n_states] = states.shooting
@@ -649,7 +649,7 @@ def _checked_weights(output_weights: Sequence[float] | None, data: FitData) -> F
 
 
 def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prior:
-    """Priors by full or by own names; the latter hold for every group."""
+    """Prior from names in full or as in the structure; the latter hold for all groups."""
     full = {q.name: i for i, q in enumerate(assembly.free)}
     mean, information = np.zeros(len(full)), np.zeros(len(full))
     for name, (value, std) in prior.items():
@@ -663,7 +663,7 @@ def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prio
 
 
 def _ridge_solve(hessian: FloatArray, gradient: FloatArray, scale: FloatArray) -> FloatArray:
-    """Solve for each window; a ridge keeps states near zero that the window does not determine."""
+    """Solve for each window start; a ridge keeps undetermined states near zero."""
     scaled = hessian * np.outer(scale, scale)
     n = len(scale)
     ridge = 1e-6 * np.trace(scaled, axis1=1, axis2=2)[:, None, None] / n + 1e-300
@@ -685,7 +685,7 @@ def with_extra_terms(
     start: FloatArray,
     options: FitArguments,
 ) -> Shooting:
-    """Return a problem with the extra cost and the constraints of a caller.
+    """Return a problem with the caller's extra cost and constraints.
 
     Parameters
     ----------
@@ -760,7 +760,7 @@ def _called(what: str, function: Any, p: Values, x0: Mapping[str, ca.SX]) -> Any
 
 
 def _limits(given: Any, names: set[str]) -> list[tuple[float, ca.SX, float]]:
-    """Return the constraints of a caller: lower bound, expression and upper bound."""
+    """Return the caller's constraints as lower bound, expression and upper bound."""
     limits = []
     for i, row in enumerate(list(given) if isinstance(given, list | tuple) else [given]):
         if not (isinstance(row, tuple | list) and len(row) == 3):
@@ -777,7 +777,7 @@ def _limits(given: Any, names: set[str]) -> list[tuple[float, ca.SX, float]]:
 
 
 def _expression(what: str, given: Any, names: set[str]) -> ca.SX:
-    """Return what a caller wrote as one expression in the unknowns of these names."""
+    """Return the caller's terms as one CasADi expression in named unknowns."""
     try:
         expression = ca.SX(given)
     except Exception:

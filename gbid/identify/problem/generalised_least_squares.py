@@ -1,4 +1,4 @@
-"""Generalised least squares of a simulation: an autoregression of the errors filters errors and sensitivities."""
+"""Generalised least squares of a simulation: an autoregression of the errors whitens errors and sensitivities."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from gbid.identify.uncertainty.covariance import Estimate, grows, information_ov
 
 @dataclass(frozen=True)
 class Weighting:
-    """Limits of the descents and of the scan along the frequencies of modes; lengths are in standard deviations.
+    """Limits of the local searches and of the frequency scan; lengths are in standard deviations.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ WEIGHTING = Weighting()
 
 
 class WeightedErrors(NamedTuple):
-    """Minimum of generalised least squares.
+    """Result of generalised least squares.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class WeightedErrors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WeightedProblem:
-    """Problem of generalised least squares of a simulation.
+    """Problem of generalised least squares for a simulation.
 
     Attributes
     ----------
@@ -132,13 +132,13 @@ class WeightedProblem:
     names: tuple[str, ...]
 
     def in_one_window(self) -> tuple[WeightedProblem, IntArray]:
-        """Return the problem with one window for each segment, and which unknowns remain."""
+        """Return the problem with one window for each segment, and the indices of the remaining unknowns."""
         joined, kept = in_one_window(self.shooting)
         windows = (kept[joined.n_theta :: joined.n_states] - joined.n_theta) // joined.n_states
         return replace(self, shooting=joined, record_window=np.searchsorted(windows, self.record_window)), kept
 
     def estimate(self, z: FloatArray) -> Estimate:
-        """Return the point of parameters and, after them, initial states of all records, with all gaps closed."""
+        """Return the point with given parameters and initial states of all records, with all gaps closed."""
         problem, n = self.shooting, self.shooting.n_states
         theta, starts = z[: problem.n_theta], np.zeros((problem.n_windows, n))
         starts[self.record_window] = z[problem.n_theta :].reshape(-1, n)
@@ -148,7 +148,7 @@ class WeightedProblem:
         return Estimate(problem, theta, starts, self.record_window, self.known)
 
     def coordinates(self, unknowns: FloatArray) -> FloatArray:
-        """Return parameters and initial states of scaled unknowns."""
+        """Return parameters and initial states from scaled unknowns."""
         theta, starts = self.shooting.unpack(unknowns)
         return np.concatenate([theta, starts[self.record_window].ravel()])
 
@@ -159,11 +159,11 @@ class WeightedProblem:
         return lower, upper
 
     def is_elsewhere(self, z: FloatArray, minimum: _Descended) -> bool:
-        """Return whether a point is far from a minimum."""
+        """Return whether a point is far from a minimum, in standard deviations."""
         return not minimum.status.success or bool(_distance(minimum, z, self.shooting.n_theta).max() > WEIGHTING.apart)
 
     def filters(self, at: Estimate, C: FloatArray, orders: Sequence[int] | None = None) -> tuple[Whitening, ...]:
-        """Return the filters that the residuals at a point give, with what the fit took from them given back.
+        """Return the whitening filters from the residuals at a point, corrected for the degrees of freedom.
 
         `C` is the covariance of the estimates; `orders` replace those of Akaike's criterion.
         """
@@ -174,7 +174,7 @@ class WeightedProblem:
 
 
 class _Normal(NamedTuple):
-    """Normal equations at a point: cost, minus its gradient, its Gauss-Newton Hessian, and the log-likelihood."""
+    """Normal equations at a point: cost, negative gradient, Gauss-Newton Hessian, log-likelihood."""
 
     cost: float
     descent: FloatArray
@@ -183,7 +183,7 @@ class _Normal(NamedTuple):
 
 
 class _Descended(NamedTuple):
-    """Minimum of a descent: point, filters, normal equations, status, iterations, length of the next step."""
+    """Result of a local search: point, filters, normal equations, status, iterations, length of the next step."""
 
     z: FloatArray
     filters: tuple[Whitening, ...]
@@ -194,12 +194,12 @@ class _Descended(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Its log-likelihood, less the number of coefficients of the models of the errors."""
+        """Log-likelihood minus the number of coefficients of the error models (AIC)."""
         return _score(self.normal, self.filters)
 
 
 def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArray) -> tuple[WeightedErrors, Solution]:
-    """Return the minimum of generalised least squares.
+    """Return the minimum of generalised least squares, searched from a least-squares solution.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArr
 
 
 def _likelier(minimum: _Descended, other: _Descended, chance: float) -> _Descended:
-    """Return the minimum that counts: the other one if it is better by more than chance, or alone has converged."""
+    """Return the better of two minima: the other one must be better by more than chance, or alone converged."""
     better = other.score > minimum.score + chance if minimum.status.success else True
     iterations = minimum.iterations + other.iterations
     return (other if other.status.success and better else minimum)._replace(iterations=iterations)
@@ -281,7 +281,7 @@ def _likelier(minimum: _Descended, other: _Descended, chance: float) -> _Descend
 def _elsewhere(
     minimum: _Descended, points: Sequence[_Point | _Descended], names: Sequence[str]
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return how far other maxima are from a minimum, times the root of their share of the likelihood, and a note.
+    """Return distances of other maxima, times the root of their likelihood share, and a note.
 
     The covariance about the estimate, of a mixture of normal distributions with these shares, is that of the minimum
     and the sum of the products of the rows.
@@ -306,21 +306,21 @@ def _elsewhere(
 
 
 class _Point(NamedTuple):
-    """Point of the likelihood: log-likelihood less the number of coefficients of the errors' models, and unknowns."""
+    """Point of the likelihood: log-likelihood minus number of error-model coefficients, and the unknowns."""
 
     score: float
     z: FloatArray
 
 
 class _Mode(NamedTuple):
-    """Light mode: frequency in turns a sample, and derivatives of frequency and damping by the parameters."""
+    """Lightly damped mode: frequency in cycles per sample, and derivatives of frequency and damping."""
 
     frequency: float
     slopes: FloatArray
 
 
 def _scanned(task: WeightedProblem, minimum: _Descended, enough: float) -> list[_Point]:
-    """Return the maxima of the likelihood along the frequencies of light modes.
+    """Return maxima of the likelihood along the frequencies of lightly damped modes.
 
     The frequency of each light mode goes by halves of 1 / T to both sides, alone. A Gauss-Newton step that holds
     frequencies and dampings of all light modes brings the other unknowns along. A mode is left out if the likelihood
@@ -347,7 +347,7 @@ def _scanned(task: WeightedProblem, minimum: _Descended, enough: float) -> list[
 
 
 def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) -> list[FloatArray]:
-    """Return points in which a mode has other frequencies, one step after the other; fewer at a bound."""
+    """Return points along which the frequency of a mode changes step by step; fewer at a bound."""
     lower, upper = task.bounds
     n, points = task.shooting.n_theta, list[FloatArray]()
     size = task.shooting.theta_scale**2
@@ -367,7 +367,7 @@ def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) 
 
 
 def _light_modes(task: WeightedProblem, z: FloatArray) -> list[_Mode]:
-    """Return the light modes of all linear predictors."""
+    """Return the lightly damped modes of all linear predictors."""
     problem, modes_of = task.shooting, dict[int, list[_Mode]]()
     for part, v in zip(problem.parts, problem.values(z[: problem.n_theta]), strict=True):
         if id(v) in modes_of or not isinstance(part.predictor, Predictor):
@@ -383,7 +383,7 @@ def _light_modes(task: WeightedProblem, z: FloatArray) -> list[_Mode]:
 
 
 def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:
-    """Return a point after a Gauss-Newton step that holds its light modes; amplitudes and initial states are linear."""
+    """Return a point after a Gauss-Newton step with fixed lightly damped modes."""
     held = np.hstack([mode.slopes for mode in _light_modes(task, z)])
     held = np.vstack([held, np.zeros((len(z) - len(held), held.shape[1]))])
     C, score = np.zeros((len(z), len(z))), -np.inf
@@ -403,19 +403,19 @@ def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:
 
 
 def _score(normal: _Normal, filters: Sequence[Whitening]) -> float:
-    """Return the log-likelihood less the number of coefficients of the errors' models, as Akaike's criterion has it."""
+    """Return the log-likelihood minus the number of coefficients of the error models (AIC)."""
     return normal.log_likelihood - sum(each.model.coefficients.size for each in filters)
 
 
 def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:
-    """Return how far the parameters of a point are from a minimum, in its standard deviations, (n_theta,)."""
+    """Return the distance of a point's parameters from a minimum, in standard deviations, (n_theta,)."""
     variance = np.diag(_inverse(minimum.normal.hessian))[:n_theta]
     moved = np.abs(z - minimum.z)[:n_theta]
     return np.where(moved > 0, moved / np.sqrt(np.maximum(variance, np.finfo(float).tiny)), 0.0)
 
 
 def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
-    """Return the minimum that models of the errors and Gauss-Newton steps reach in turn from a point."""
+    """Search a minimum from a point by Gauss-Newton steps and error models in turn."""
     orders: list[int] | None = None
     iterations = 0
     C, status, rest = np.zeros((len(z), len(z))), FitStatus.ITERATION_LIMIT, np.inf
@@ -464,7 +464,7 @@ def _samples(at: Estimate) -> list[int]:
 
 
 def _normal(task: WeightedProblem, z: FloatArray, filters: tuple[Whitening, ...]) -> _Normal | None:
-    """Return the normal equations at a point; None where the model grows over a record or has no finite value."""
+    """Return the normal equations at a point; None where the model grows too much or is not finite."""
     problem = task.shooting
     if problem.valid_values(z[: problem.n_theta]) is None:
         return None
@@ -495,7 +495,7 @@ def _nowhere(size: int) -> _Normal:
 
 
 def _axes(hessian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return eigenvalues and eigenvectors of the Hessian in units of its diagonal, without flat directions."""
+    """Return eigenvalues and eigenvectors of the scaled Hessian, without flat directions, and the scale."""
     unit = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(hessian / np.outer(unit, unit))
     curved = values > WEIGHTING.flat * values[-1]
@@ -532,7 +532,7 @@ def _length(step: FloatArray, normal: _Normal) -> float:
 def _lower(
     task: WeightedProblem, z: FloatArray, step: FloatArray, normal: _Normal, filters: tuple[Whitening, ...]
 ) -> tuple[FloatArray, _Normal] | None:
-    """Return the first point along a step, halved again and again, that has a lower cost; None without one."""
+    """Return the first lower point along a step that is halved repeatedly; None without such a point."""
     for halving in range(WEIGHTING.halvings):
         point = z + step / 2**halving
         tried = _normal(task, point, filters)

@@ -1,4 +1,4 @@
-"""Hessians for the solver: Gauss-Newton, or Gauss-Newton with the part that it omits.
+"""Hessians for the solver (Gauss-Newton, with or without second-order term), and problems with joined windows.
 
 Gauss-Newton omits the product of the errors and the second derivatives of the predictor. For white errors this part is
 almost zero. For coloured errors (process noise, a nonlinear film, whirl) it is as large as the rest in some
@@ -24,7 +24,7 @@ _LONG = 128  # samples of a block; a record of many shorter ones takes longer to
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
-    """Join the windows of each segment.
+    """Return the problem with one window for each segment.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
 
 
 def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> FloatArray:
-    """Unknowns of a problem at a point of `in_one_window`'s: the windows start where the model passes by."""
+    """Unknowns of a problem in windows, from the unknowns of `in_one_window`'s problem: no gaps between windows."""
     theta, starts = joined.unpack(unknowns)
     each = zip(problem.values(theta), problem.parts, joined.by_part(starts), strict=True)
     passed = [
@@ -70,7 +70,7 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
 
 
 def starts_from(problem: Shooting, theta: FloatArray, starts: FloatArray, other: Shooting) -> FloatArray:
-    """Return starts of all windows of another problem with the same records, (n_windows, n), where the model passes."""
+    """Return the window starts of another problem of these records, (n_windows, n), from the predicted states."""
     passed: dict[int, FloatArray] = {}
     for value, part, begin in problem.each(problem.values(theta), starts):
         states = part.blocks.by_segment(part.kernel.predict(value, part.blocks, begin).states)
@@ -82,7 +82,7 @@ def starts_from(problem: Shooting, theta: FloatArray, starts: FloatArray, other:
 
 
 def simulated(problem: Shooting, unknowns: FloatArray) -> tuple[FloatArray, float]:
-    """Return a point without gaps, and its cost: the model runs on from the first window of each segment.
+    """Return a point without gaps, simulated from the first window of each segment, and its cost.
 
     The cost is infinite where the model overflows on the way.
     """
@@ -92,7 +92,7 @@ def simulated(problem: Shooting, unknowns: FloatArray) -> tuple[FloatArray, floa
 
 
 def passed_on(problem: Shooting, theta: FloatArray, starts: FloatArray) -> tuple[float, float]:
-    """Return how far small deviations get in any window, to first order and in units of the states' sizes.
+    """Return the growth of small deviations, and the effect of gaps, over windows (linearised, scaled).
 
     The first is the largest growth of a deviation at the start of a segment; the second is what the gaps amount to.
     Both are infinite where the problem has no value.
@@ -124,14 +124,14 @@ _DIFFERENCE, _MOST = 3e-8, 1e-4
 
 
 def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
-    """Return the multipliers at the window ends, (n_windows, n), in physical units; zero without a next window."""
+    """Return the multipliers at window ends, (n_windows, n), in physical units; zero without a following window."""
     ends = np.zeros((problem.n_windows, problem.n_states))
     ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
     return ends
 
 
 class PartHessian(NamedTuple):
-    """Hessian of a part, without the block of its window starts.
+    """Hessian of a part without the block of window starts.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def omitted_part(
     curvatures: Sequence[FloatArray],
     wanted: Sequence[Sequence[int]] | None = None,
 ) -> list[PartHessian]:
-    """Return the second derivatives of cost and weighted window ends that Gauss-Newton omits, part by part.
+    """Return the second-order term of cost and weighted window ends (neglected by Gauss-Newton), by part.
 
     They are by the own parameters of each predictor and by the starts of its windows.
 
@@ -199,7 +199,7 @@ def omitted_part(
 def _moved(
     problem: Shooting, part: RecordGroup, theta: FloatArray, columns: Sequence[int], units: FloatArray
 ) -> list[Moved]:
-    """Return predictors of a part with one own parameter moved within its bounds, for each of some parameters."""
+    """Return predictors of a part with a finite-difference step in each of some parameters, within the bounds."""
     here = np.array(part.own(theta), float)
     points = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
     steps = []
@@ -224,12 +224,12 @@ Curvature = Callable[[FloatArray, float, FloatArray], FloatArray]
 
 
 def gauss_newton(problem: Shooting) -> Curvature:
-    """Return the Gauss-Newton Hessian: products of first derivatives, which each pass computes."""
+    """Return the Gauss-Newton Hessian: products of first derivatives."""
     return lambda unknowns, lam_f, lam_gaps: np.asarray(lam_f * problem.at(unknowns).hessian)  # noqa: ARG005
 
 
 class ExactHessian:
-    """Gauss-Newton Hessian with the omitted part of the parameters' columns, computed every few iterations.
+    """Gauss-Newton Hessian plus second-order term for parameter columns, updated every few iterations.
 
     For white errors these are only the columns of the disturbance gain, because the gain multiplies the errors
     themselves. For coloured errors they are all columns.
@@ -261,7 +261,7 @@ class ExactHessian:
 
 
 def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
-    """Return the Gauss-Newton Hessian of each part at an evaluated point."""
+    """Return the Gauss-Newton Hessian of each part at a computed iterate."""
     scales, factor = (problem.theta_scale[part.index] for part in problem.parts), iterate.factor
     return [
         PartHessian(factor * s.hessian * np.outer(t, t), s.hessian_mixed * (factor * t[:, None] * problem.state_scale))
@@ -270,7 +270,7 @@ def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
 
 
 def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
-    """Return a correction that keeps the Gauss-Newton Hessian convex: negative curvatures change their sign.
+    """Return a correction that keeps the Hessian convex: negative curvatures change sign.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
 
 
 def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
-    """Return the correlation of neighbouring errors, for the output with the largest one."""
+    """Return the correlation of neighbouring errors: the largest of all outputs."""
     theta, starts = problem.unpack(unknowns)
     errors = problem.errors(problem.values(theta), starts)
     products = sum(np.einsum("gkyw,gkyw->y", e[:, 1:], e[:, :-1]) for e in errors)
@@ -304,7 +304,7 @@ def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
 def left_out_columns(
     problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, *, everything: bool = True
 ) -> list[PartHessian]:
-    """Return the part of the Hessian of the weighted squares that Gauss-Newton omits, for the parameters of each part.
+    """Return the second-order term of the Hessian of the weighted squares, for the parameters of each part.
 
     The weight of the errors is constant. The cost is the logarithm of the squares. Away from the minimum, the logarithm
     has less curvature, and for very small squares even negative curvature. This share is omitted.
@@ -359,7 +359,7 @@ def left_out_columns(
 
 
 def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:
-    """Return the entries in the order of `Shooting.hessian_pattern`, summed over all parts."""
+    """Return Hessian entries in the order of `Shooting.hessian_pattern`, summed over all parts."""
     theta = np.zeros((problem.n_theta, problem.n_theta))
     for part, own in zip(problem.parts, left_out, strict=True):
         theta[np.ix_(part.index, part.index)] += own.theta

@@ -1,4 +1,4 @@
-"""Error of the integration of a nonlinear fit, measured at the optimum by halving the step."""
+"""Integration error of a nonlinear fit, measured by halving the step; linearisation with derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gbid.structure.nonlinear import MOST_STEPS
 
 @dataclass(frozen=True)
 class Refining:
-    """Choice of the steps of an integrator; the error of the integration is in standard deviations of the estimates.
+    """Options of the choice of integrator steps; errors are in standard deviations of the estimates.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ def integrated_finely(
     run: Callable[[FloatArray, Shooting], Solution],
     known: Sequence[Refinement] = (),
 ) -> tuple[Shooting, Solution, FloatArray | None]:
-    """Return problem and solution with as many steps of the integrator as the estimates need.
+    """Return problem and solution with as many integrator steps as the estimates need.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def integrated_finely(
 
 
 def with_steps(problem: Shooting, steps: int) -> Shooting:
-    """Return the problem with so many steps of the integrator in a sample."""
+    """Return the problem with a given number of integrator steps in a sample."""
     parts = []
     for part in problem.parts:
         assert isinstance(part.predictor, NonlinearPredictor)
@@ -107,7 +107,7 @@ def with_steps(problem: Shooting, steps: int) -> Shooting:
 
 
 class Refinement(NamedTuple):
-    """Way from a point to the solution with half the step of the integrator.
+    """Gauss-Newton step from a point to the solution with half the integrator step.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Refinement(NamedTuple):
 
 
 def refinement(problem: Shooting, unknowns: FloatArray) -> Refinement:
-    """Return the way from a point (n_unknowns,) of a nonlinear problem to the solution with half the step."""
+    """Return the step from a nonlinear problem's point (n_unknowns,) to the solution with half the integrator step."""
     predictor, iterate = problem.parts[0].predictor, problem.at(unknowns)
     assert isinstance(predictor, NonlinearPredictor)
     finer = with_steps(problem, 2 * predictor.steps)
@@ -141,7 +141,7 @@ def refinement(problem: Shooting, unknowns: FloatArray) -> Refinement:
 
 
 def at_working_point(model: Any, problem: Shooting, theta: FloatArray, starts: FloatArray, data: FitData) -> Any:
-    """Return the model with the means over the recordings as its working point, and the steps of the fit.
+    """Return the model with the means over the recordings as working point, and the integrator steps of the fit.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def at_working_point(model: Any, problem: Shooting, theta: FloatArray, starts: F
 
 
 def linearised(model: NonlinearModel, names: Sequence[str], free: Sequence[str]) -> list[Dual]:
-    """Return A, B, C and D at the working point with their derivatives, the working point as it is.
+    """Return A, B, C and D with derivatives at a fixed working point.
 
     Parameters
     ----------

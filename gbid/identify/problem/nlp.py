@@ -21,7 +21,7 @@ from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
 
 @dataclass(frozen=True, eq=False)
 class RecordGroup:
-    """Segments with the same predictor and the same values of its parameters.
+    """Segments with one predictor and equal parameter values.
 
     Attributes
     ----------
@@ -45,19 +45,19 @@ class RecordGroup:
     tie: FloatArray | None = None
 
     def own(self, theta: FloatArray) -> FloatArray:
-        """Return the values of the predictor's parameters for parameters of the problem."""
+        """Return the values of the predictor's parameters from parameters of the problem."""
         return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
 
     @property
     def noise(self) -> IntArray:
-        """Which of the problem's parameters only the disturbance gain depends on."""
+        """Parameters of the problem that affect only the disturbance gain."""
         rows = list(self.predictor.noise)
         if self.tie is None:
             return self.index[rows]
         return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
 
     def within_bounds(self, theta: FloatArray) -> bool:
-        """Return whether tied parameters are inside the predictor's bounds; bounds of unknowns do not ensure it."""
+        """Return whether tied parameters are within bounds, which bounds of the unknowns do not guarantee."""
         if self.tie is None:
             return True
         free = self.predictor.free
@@ -69,7 +69,7 @@ Box = tuple[FloatArray, FloatArray]
 
 
 class Iterate(NamedTuple):
-    """Values at one point for the solver, in scaled units.
+    """Values for the solver at one point, in scaled units.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Iterate(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """Prior knowledge of parameters: independent normal distributions.
+    """Prior of parameters: independent normal distributions.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Prior(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
+    """Sparsity pattern in column order, and the permutation of computed entries to it."""
 
     shape: tuple[int, int]
     rows: IntArray
@@ -141,7 +141,7 @@ CLEAR = 0.2
 
 
 def near_instability(predictor: Predictor, own: FloatArray, v: PredictorValues, share: float) -> bool:
-    """Return whether the disturbance gain leaves at most a share of the stability margin of the model.
+    """Return whether the disturbance gain leaves at most a given share of the model's stability margin.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class ExtraValues(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ExtraTerms:
-    """Extra cost and constraints.
+    """Extra cost and constraints of the caller.
 
     Attributes
     ----------
@@ -228,15 +228,15 @@ class ExtraTerms:
         return ExtraValues(float(value.item()), gradient.ravel(), hessian, rows.ravel() / self.size, slopes)
 
     def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Hessian of the constraints times these multipliers, (n_used, n_used)."""
+        """Return the Hessian of the constraints, weighted by multipliers, (n_used, n_used)."""
         return np.asarray(self.curvature(self._point(theta, starts), multipliers / self.size), float)
 
     def violation(self, rows: FloatArray) -> float:
-        """Return how far constraints (n_rows,) are beyond their bounds at most."""
+        """Return the largest violation of the constraints (n_rows,)."""
         return float(np.maximum(self.lower - rows, rows - self.upper).max(initial=0.0))
 
     def off_bound(self, rows: FloatArray, near: float) -> FloatArray:
-        """Return how far each constraint is from the bound that it lies on, (n_rows,); NaN where it lies on none."""
+        """Return the distance of each active constraint from its bound, (n_rows,); NaN if inactive."""
         below, above = rows - self.lower, rows - self.upper
         return np.where(below < near, below, np.where(above > -near, above, np.nan))
 
@@ -245,7 +245,7 @@ class ExtraTerms:
 
 
 def extra_notes(problem: Shooting, unknowns: FloatArray) -> tuple[str, ...]:
-    """Return notes on constraints of the caller that hold an estimate, or are not met."""
+    """Return notes on the caller's constraints that are active or violated."""
     extra, notes = problem.extra, []
     if extra is None or not np.isfinite(unknowns).all():
         return ()
@@ -275,7 +275,7 @@ _WELL_BELOW = 0.01  # part of that floor that a fit without errors reaches with 
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Nonlinear programme of a fit.
+    """Multiple-shooting problem of a fit, as a nonlinear programme.
 
     Attributes
     ----------
@@ -361,7 +361,7 @@ class Shooting:
         return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
 
     def windows_from(self, first: int) -> list[int]:
-        """Return a window and those that its record is linked to after it, in the order of time."""
+        """Return a window and all windows linked after it in its record, in the order of time."""
         following = dict(self.links.tolist())
         windows = [int(first)]
         while windows[-1] in following:
@@ -369,7 +369,7 @@ class Shooting:
         return windows
 
     def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
-        """Return the scaled unknowns of parameters (n_p,) and window starts (n_windows, n)."""
+        """Return scaled unknowns from parameters (n_p,) and window starts (n_windows, n)."""
         return np.concatenate([theta / self.theta_scale, (starts / self.state_scale).ravel()])
 
     def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -378,7 +378,7 @@ class Shooting:
         return unknowns[: self.n_theta] * self.theta_scale, starts
 
     def values(self, theta: FloatArray) -> list[Any]:
-        """Return the predictors of all parts; equal ones are computed once, and the last ones are stored."""
+        """Return the predictors of all parts; equal ones are computed once, the latest are cached."""
         point = theta.tobytes()
         if point in self._met:
             return self._met[point]
@@ -394,7 +394,7 @@ class Shooting:
         return result
 
     def valid_values(self, theta: FloatArray) -> list[Any] | None:
-        """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
+        """Return the predictors of all parts; None if tied parameters violate bounds or a predictor is unstable."""
         values = self.values(theta)
         return None if self._refused(theta, self.growth(values)) else values
 
@@ -402,12 +402,12 @@ class Shooting:
         return (self._watched and rate > 1) or not all(part.within_bounds(theta) for part in self.parts)
 
     def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
-        """Return the sums of one pass over every part, for window starts (n_windows, n)."""
+        """Return the sums of a pass over each part, for window starts (n_windows, n)."""
         each = self.each(values, starts)
         return [tied(part.kernel.sweep(v, part.blocks, begin, weight), part.tie) for v, part, begin in each]
 
     def gradients(self, values: list[Any], at: Lagrangian) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the gradients of cost and weighted window ends, part by part; see `Kernel.gradient`.
+        """Return the gradients of cost and weighted window ends for each part; see `Kernel.gradient`.
 
         They are by the parameters of its predictor, and by the starts of its windows, (n_windows, n), in physical units
         and without the prior; not finite when the errors overflow.
@@ -418,11 +418,11 @@ class Shooting:
         ]
 
     def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
-        """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
+        """Return the prediction errors of each part in blocks; zero outside the cost."""
         return [part.kernel.errors(v, part.blocks, begin) for v, part, begin in self.each(values, starts)]
 
     def by_record(self, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
-        """Return errors of all parts in the order of the samples of each record, (n_samples, n_y); zero if left out."""
+        """Return errors of all parts by record and sample, (n_samples, n_y); zero if left out."""
         by_window: dict[int, FloatArray] = {}
         for e, part, first in zip(errors, self.parts, self.first_window[:-1], strict=True):
             by_window |= zip((first + part.blocks.segment_first).tolist(), part.blocks.by_segment(e), strict=True)
@@ -436,11 +436,11 @@ class Shooting:
             part.blocks.release()
 
     def each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
-        """Return the predictor of each part, the part, and the starts of its windows."""
+        """Return for each part its predictor, the part, and the starts of its windows."""
         return zip(values, self.parts, self.by_part(starts), strict=True)
 
     def by_part(self, windows: FloatArray) -> list[FloatArray]:
-        """Return values of all windows, (n_windows, ...), part by part."""
+        """Return values of all windows, (n_windows, ...), split by part."""
         return [windows] if len(self.parts) == 1 else np.split(windows, self.first_window[1:])[:-1]
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
@@ -452,11 +452,11 @@ class Shooting:
 
     @cached_property
     def absent(self) -> FloatArray | float:
-        """Expected products of the errors of missing outputs, (n_y, n_y), a step of the EM algorithm; 0 without any."""
+        """Expected products of missing outputs' errors, (n_y, n_y), for the EM algorithm; 0 without any."""
         return sum((gains.absent for part in self.parts for gains in part.blocks.gains), 0.0)
 
     def weight(self, error_products: FloatArray) -> FloatArray:
-        """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
+        """Return the weight of the squared errors in gradient and Hessian, from ``sum e e'``."""
         if self.criterion == "trace":
             total = self.output_weights @ np.diag(error_products) + self._floor
             return np.asarray(np.diag(self.output_weights) / total)
@@ -479,7 +479,7 @@ class Shooting:
         return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self.floors)) * np.outer(units, units))[1])
 
     def cost_alone(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Return the cost at a point in physical units without a pass with sensitivities; NaN for a bad predictor."""
+        """Return the cost at a point (physical units), without sensitivities; NaN for an invalid predictor."""
         values = self.valid_values(theta)
         if values is None:
             return np.nan
@@ -487,7 +487,7 @@ class Shooting:
         return self.cost(self.error_products(values, starts)) + more / self.likelihood_size
 
     def known(self, theta: FloatArray) -> LikelihoodSums:
-        """Return the negative log-likelihood of prior knowledge and of frequency responses by the parameters."""
+        """Return negative log-likelihood of prior and frequency responses, with derivatives by the parameters."""
         away, information = theta - self.prior.mean, self.prior.information
         cost, gradient, hessian = 0.5 * float(information @ away**2), information * away, np.diag(information)
         for group in self.responses:
@@ -502,7 +502,7 @@ class Shooting:
         return self.at_physical(*self.unpack(unknowns))
 
     def at_physical(self, theta: FloatArray, starts: FloatArray) -> Iterate:
-        """Return the values at a point in physical units; those of the last two points are stored."""
+        """Return the values at a point in physical units; the last two points are cached."""
         key = theta.tobytes() + starts.tobytes()
         if key not in self._last:
             self._last[key] = self._evaluate(theta, starts)
@@ -512,7 +512,7 @@ class Shooting:
 
     @cached_property
     def noise(self) -> tuple[int, ...]:
-        """Indices of the parameters on which only disturbance gains depend."""
+        """Indices of the parameters that affect only disturbance gains."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
     @property
@@ -520,26 +520,26 @@ class Shooting:
         return bool(self.noise) and self.stable_only
 
     def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
-        """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
+        """Yield for each part whether its disturbance gain is invalid because the predictor is nearly unstable."""
         each = ((part.predictor, part.own(theta), v) for part, v in zip(self.parts, self.values(theta), strict=True))
         return (self._watched and isinstance(p, Predictor) and near_instability(p, own, v, EDGE) for p, own, v in each)
 
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Return the growth of a small deviation in a sample at a point; infinite where the problem has no value."""
+        """Return the growth of a small deviation in a sample at a point; infinite without a valid predictor."""
         values = self.values(theta)
         alone = self.growth(values)
         rate = self.growth(values, self.at_physical(theta, starts).sweeps) if np.isnan(alone) else alone
         return np.inf if np.isnan(rate) else rate
 
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
-        """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""
+        """Return the largest growth of a small deviation in a sample, over all parts; NaN if a pass is needed."""
         each = zip(self.parts, values, sweeps or repeat(None), strict=False)
         rates = (part.kernel.growth(v, part.blocks, sweep, self.state_scale) for part, v, sweep in each)
         return max(rates, default=0.0)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Linear constraints that are bounds of tied parameters, which are sums of several unknowns.
+        """Linear constraints for the bounds of tied parameters, which are sums of several unknowns.
 
         They are a matrix (n_limits, n_theta) from the scaled unknowns to the parameters in units of their own scales,
         and their lower and upper bounds, (n_limits,).
@@ -575,7 +575,7 @@ class Shooting:
 
     @cached_property
     def hessian_pattern(self) -> Pattern:
-        """Sparsity pattern of the upper triangle of the Hessian: an arrow, and what meets in extra terms."""
+        """Sparsity pattern of the Hessian's upper triangle: an arrow, and the pairs in extra terms."""
         n, size, pairs, upper = self.n_states, self.n_unknowns, self._theta_pairs, self._upper
         rows, columns = [pairs[0]], [pairs[1]]
         for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
@@ -593,7 +593,7 @@ class Shooting:
 
     @property
     def exact_cost(self) -> float:
-        """Largest cost at which all errors are rounding, as for simulated data without noise."""
+        """Largest cost that counts as rounding errors only, as for simulated data without noise."""
         return self.cost(np.diag(self.floors) * _WELL_BELOW * self.n_samples / self.likelihood_size)
 
     @property
@@ -602,12 +602,12 @@ class Shooting:
 
     @property
     def _floor(self) -> float:
-        """Power of rounding errors; added to the squares, it keeps the logarithm finite for data without noise."""
+        """Power of rounding errors, added to the squares so that the logarithm is finite without noise."""
         return _ROUNDING * self._power
 
     @property
     def floors(self) -> FloatArray:
-        """Sums of squared errors of the outputs that count as rounding, (n_y,)."""
+        """Sums of squared errors that count as rounding, for each output, (n_y,)."""
         return self._floor / self.output_weights
 
     @property
@@ -619,19 +619,19 @@ class Shooting:
 
     @cached_property
     def _links_by_part(self) -> list[tuple[IntArray, IntArray]]:
-        """Links that start in each part: row numbers, and first windows."""
+        """Links that start in each part: row numbers and first windows."""
         edges = zip(self.first_window[:-1], self.first_window[1:], strict=True)
         rows = [np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last)) for first, last in edges]
         return [(links, self.links[links, 0]) for links in rows]
 
     @cached_property
     def _upper(self) -> tuple[IntArray, IntArray]:
-        """Rows and columns of the upper triangle of a block of states."""
+        """Rows and columns of the upper triangle of a block with the size of the state."""
         return np.triu_indices(self.n_states)
 
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
-        """Pairs of parameters that are in the same part, upper triangle."""
+        """Pairs of parameters that occur in one part, upper triangle."""
         meet = np.eye(self.n_theta, dtype=bool)
         for part in self.groups:
             meet[np.ix_(part.index, part.index)] = True
@@ -640,7 +640,7 @@ class Shooting:
 
     @cached_property
     def extra_places(self) -> tuple[IntArray, FloatArray]:
-        """Positions of the unknowns that extra terms use, and their scales; both empty without extra terms."""
+        """Indices of the unknowns in extra terms, and their scales; both empty without extra terms."""
         if self.extra is None:
             return np.zeros(0, np.int64), np.zeros(0)
         windows, n = self.extra.windows, self.n_states
@@ -650,13 +650,13 @@ class Shooting:
 
     @property
     def _extra_pairs(self) -> tuple[IntArray, IntArray]:
-        """Rows and columns, in the upper triangle, of all pairs of these unknowns, in the order of ``triu_indices``."""
+        """Rows and columns in the upper triangle of all pairs of unknowns in extra terms."""
         places, _ = self.extra_places
         i, j = np.triu_indices(len(places))
         return np.minimum(places[i], places[j]), np.maximum(places[i], places[j])
 
     def extra_entries(self, block: FloatArray) -> FloatArray:
-        """Return a Hessian by the unknowns of extra terms, (n_used, n_used), in the order of `hessian_pattern`."""
+        """Return the Hessian of extra terms, (n_used, n_used), in the order of `hessian_pattern`."""
         (low, high), pattern, (_, scale) = self._extra_pairs, self.hessian_pattern, self.extra_places
         entries = np.zeros(len(pattern.rows))
         where = np.searchsorted(pattern.rows + self.n_unknowns * pattern.columns, low + self.n_unknowns * high)
@@ -689,7 +689,7 @@ class Shooting:
     def _assembled(
         self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
     ) -> Iterate:
-        """Return the iterate, with the sums of the parts in place and scaled."""
+        """Return the iterate assembled from the scaled sums of the parts."""
         t, x = self.theta_scale, self.state_scale
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
         starts_gradient, mixed, by_start, jacobian = [np.zeros((0, self.n_states))], [], [], []
@@ -734,7 +734,7 @@ class Shooting:
     def hessian_entries(
         self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
     ) -> FloatArray:
-        """Return the entries in the order of `hessian_pattern`; zero for those of extra terms.
+        """Return Hessian entries in the order of `hessian_pattern`; zero for extra terms.
 
         `theta` (n_theta, n_theta) is the block of the parameters. For each part, `mixed` (n_windows, n_p, n) is the
         block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.

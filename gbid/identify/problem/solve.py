@@ -1,4 +1,4 @@
-"""Solution of the shooting problem by IPOPT: its functions for CasADi, stopping rules, and what is solved in turn."""
+"""Solution of the shooting problem by IPOPT: callbacks, stopping rules, rounds of solutions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gbid.identify.result import FitStatus, Phase
 
 @dataclass
 class Trouble:
-    """Points of the solver at which a callback had no value.
+    """Points at which a callback of the solver had no value.
 
     An exception inside of a callback would be printed with a traceback and all values of the point. A point at which
     the model overflows has no value instead, and the solver steps back. Any other exception is a defect, and kept.
@@ -48,14 +48,14 @@ class Trouble:
     first: float | None = None
 
     def too_far(self, gap: float) -> bool:
-        """Return whether a point with this largest gap is too far from where the solver began."""
+        """Return whether a point's largest gap is too large, compared with the solver's first point."""
         if self.first is None:
             self.first = gap
         return gap > self.most * max(1.0, self.first)
 
 
 class Oracle(ca.Callback):
-    """CasADi callback of a Python function with named arguments and their shapes.
+    """CasADi callback of a Python function with named arguments of given shapes.
 
     The function gets the nonzeros of its arguments and returns those of its results, as arrays in column order. They
     are views of CasADi's own memory: copies into its matrices and back took longer than what is between them.
@@ -95,7 +95,7 @@ class Oracle(ca.Callback):
         return True
 
     def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
-        """Write the results that are wanted; an argument that is not given is zero."""
+        """Write the requested results; missing arguments are zero."""
         given = [
             np.frombuffer(memory) if memory else np.zeros(sparsity.nnz())
             for memory, (_, sparsity) in zip(arguments, self._inputs, strict=True)
@@ -114,7 +114,7 @@ class Oracle(ca.Callback):
 
 
 class NlpFunctions(NamedTuple):
-    """Functions of the scaled unknowns, with the names that ``casadi.nlpsol`` wants. They must outlive the solver.
+    """CasADi functions of the scaled unknowns, named as in ``casadi.nlpsol``. They must outlive the solver.
 
     Attributes
     ----------
@@ -140,12 +140,12 @@ class NlpFunctions(NamedTuple):
 
     @property
     def derivatives(self) -> dict[str, Any]:
-        """Options of ``casadi.nlpsol`` for these derivatives instead of its own."""
+        """Options of ``casadi.nlpsol`` that replace its derivatives by these functions."""
         return {"no_nlp_grad": True, "grad_f": self.gradient, "jac_g": self.jacobian, "hess_lag": self.hessian}
 
 
 def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> NlpFunctions:
-    """Return the functions of a problem.
+    """Return the CasADi functions of a problem.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
 
 
 def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) -> tuple[ca.Sparsity, IntArray]:
-    """Return the sparsity of gaps over limits over further constraints, and the order of their entries in it.
+    """Return the sparsity of stacked gaps, limits and extra constraints, and the order of their entries.
 
     The entries are those of the gaps in the order of their pattern, the nonzeros of the limits row by row, and the
     slopes of the further constraints by the `used` unknowns row by row.
@@ -220,7 +220,7 @@ def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) ->
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:
-    """Return the pattern as CasADi keeps it: columns with rows in order."""
+    """Return a pattern as a CasADi sparsity: by columns, with ascending rows."""
     counts = np.bincount(pattern.columns, minlength=pattern.shape[1])
     return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
 
@@ -265,7 +265,7 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray) -> float:
 
 
 def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArray) -> float:
-    """Return the length of a step (n_unknowns,) in the metric of the information at a point."""
+    """Return the length of a step (n_unknowns,) in standard deviations, from the information at a point."""
     pattern, entries = problem.hessian_pattern, iterate.hessian
     twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
     square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
@@ -273,7 +273,7 @@ def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArra
 
 
 def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box | None = None) -> FloatArray:
-    """Return the step (n_unknowns,) from the sparse system of the optimality conditions; it ends at the bounds.
+    """Return the Gauss-Newton step (n_unknowns,) from the sparse KKT system; it ends at the bounds.
 
     These are those of the problem, or others.
     """
@@ -281,7 +281,7 @@ def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: B
 
 
 def forces_of_bounds(problem: Shooting, unknowns: FloatArray) -> FloatArray:
-    """Return the slope of the log-likelihood across the bounds that hold parameters, (n_p,) [1/unit]; else zero.
+    """Return the log-likelihood's slope at each active bound, (n_p,) [1/unit]; zero for other parameters.
 
     A force F holds a parameter with the standard deviation sigma: without its bound it would move on by ``F sigma^2``.
 
@@ -313,7 +313,7 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray) -> FloatArray:
 
 
 def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
-    """Return the Gauss-Newton step within the bounds, and the forces of the bounds that it meets, both (n_unknowns,).
+    """Return the Gauss-Newton step within the bounds, and the multipliers of the bounds, both (n_unknowns,).
 
     The step is that of the optimality conditions. An unknown that would leave its bounds goes as far as its bound,
     held there by a stiff spring, whose force is the multiplier of the bound.
@@ -372,7 +372,7 @@ def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) 
 
 
 def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return slopes of active constraints, (n_active, n_unknowns), and how far each is from its bound, (n_active,)."""
+    """Return slopes of active constraints, (n_active, n_unknowns), and distances from their bounds, (n_active,)."""
     limits, low, high = problem.limits
     values = limits @ x[: problem.n_theta]
     met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
@@ -388,7 +388,7 @@ def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[Fl
 
 @dataclass(frozen=True)
 class Tolerances:
-    """When the solver ends, and when it is solved on. Lengths of steps are in standard deviations of the estimates.
+    """Stopping tolerances of the solver. Lengths of steps are in standard deviations of the estimates.
 
     Attributes
     ----------
@@ -442,7 +442,7 @@ TOLERANCES = Tolerances()
 
 @dataclass(frozen=True)
 class Progress:
-    """One iteration of a solver, for a progress line.
+    """Progress of a solver in one iteration, for a progress line.
 
     Attributes
     ----------
@@ -467,7 +467,7 @@ class Progress:
 
 @dataclass
 class Interrupt:
-    """Why the solver is to end at once, from outside of it.
+    """Reason for ending the solver from outside: Ctrl-C, or an error of the progress function.
 
     An exception inside of a callback would be printed by CasADi and lost.
 
@@ -482,7 +482,7 @@ class Interrupt:
 
 @dataclass(eq=False)
 class Watch:
-    """Watch over the iterations of a run: it reports progress, applies the stopping rules, and ends it on Ctrl-C.
+    """Monitor of a run: reports progress, applies stopping rules, ends the run on Ctrl-C.
 
     Attributes
     ----------
@@ -520,7 +520,7 @@ class Watch:
     _sigma: float = field(init=False, default=np.inf)
 
     def look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
-        """Return whether an iterate with these constraints ends the run."""
+        """Return whether the run ends at an iterate with given constraint values."""
         problem, limit = self.problem, TOLERANCES
         step = sigma = np.inf
         if self._previous is not None:
@@ -566,7 +566,7 @@ class Watch:
         return self.status is not None or self.creeping or self.interrupt.error is not None
 
     def _nothing_to_gain(self, x: FloatArray) -> bool:
-        """Return whether a Gauss-Newton step from here would be very small.
+        """Return whether the next Gauss-Newton step is negligible.
 
         Small steps of the solver may mean a wrong Hessian or a line search that stalls, not a minimum. Near an unstable
         predictor there is no minimum, which the result reports.
@@ -578,7 +578,7 @@ class Watch:
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:
-    """Return the number of iterations until steps are below the tolerance, at the rate of the last step."""
+    """Return the predicted number of iterations to the tolerance, from the last rate of convergence."""
     if not sigma < before:
         return np.inf
     return float(np.log(max(sigma / TOLERANCES.step, 1.0)) / np.log(before / max(sigma, 1e-300)))
@@ -603,7 +603,7 @@ _BY_IPOPT = {
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Last iterate of the solver, and the reason why it stopped.
+    """Last iterate of the solver, and the reason for its stop.
 
     Attributes
     ----------
@@ -632,7 +632,7 @@ class Solution:
     phases: tuple[Phase, ...] = ()
 
     def after(self, before: Solution, problem: Shooting) -> tuple[Solution, bool]:
-        """Return this solution with the iterations of the round before as well, and whether the parameters are at rest.
+        """Return this solution with the previous round's iterations added, and whether the parameters have settled.
 
         They are when they moved by less than 1 % of a standard deviation: no digit of an interval depends on less. The
         status is then that of the round before, because the solver may be stuck where a round begins at its end.
@@ -652,7 +652,7 @@ def solve(
     options: FitArguments = FitArguments(),  # noqa: B008
     ends_near: Callable[[FloatArray], bool] | None = None,
 ) -> Solution:
-    """Minimise the cost with all gaps closed.
+    """Return the minimum of the cost with all gaps closed.
 
     Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each segment
     becomes one window, and the Hessian gets what Gauss-Newton leaves out (`ExactHessian`).
@@ -701,7 +701,7 @@ def solve(
 
 
 def solve_apart(problem: Shooting, start: FloatArray, most: int) -> FloatArray:
-    """Return the unknowns (n_unknowns,) of least cost with the gaps between windows left open.
+    """Return the unknowns (n_unknowns,) of minimal cost with gaps between windows left open.
 
     A short window ends before errors of the parameters have grown, so that the cost has few other minima, far from the
     solution as well. The states that follow each other are not used, so that the estimates are rough: a start. The
@@ -718,7 +718,7 @@ def _phase(problem: Shooting, solution: Solution) -> Phase:
 
 
 def _continued(first: Solution, last: Solution) -> Solution:
-    """Return the last solution with the iterations of the first, which ended where the last one began."""
+    """Return the last solution with the iterations of the first, for a run in two stages."""
     return replace(
         last,
         iterations=first.iterations + last.iterations,
@@ -746,7 +746,7 @@ class _Runs:
         changes_over: bool = False,
         ends_near: Callable[[FloatArray], bool] | None = None,
     ) -> tuple[Solution, Watch]:
-        """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
+        """Run IPOPT once with a limit of iterations; `earlier` is the progress of the previous run."""
         problem, (lower, upper), trouble = self.problem, self.problem.box, Trouble(most=TOLERANCES.farthest)
         watch = Watch(problem, self.options, self.interrupt, earlier, changes_over, ends_near)
         functions = nlp_functions(problem, self.curvature(problem), trouble)
@@ -777,7 +777,7 @@ class _Runs:
         return Solution(unknowns, status, int(stats["iter_count"]), tuple(watch.history), rest, trouble.points), watch
 
     def at_rest(self, solution: Solution, most: int) -> Solution:
-        """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
+        """Return a solution with its first-order optimality, after further iterations if it has not settled."""
         problem, rest, limit = self.problem, solution.rest, TOLERANCES
         if not np.isfinite(rest):  # else the watch has looked already
             rest = distance_from_rest(problem, solution.unknowns)
@@ -796,7 +796,7 @@ class _Runs:
         return _continued(solution, replace(last, status=status, rest=rest))
 
     def _solver(self, functions: NlpFunctions, iteration: ca.Callback, tolerance: float, most: int) -> ca.Function:
-        """Return the solver of functions, which must outlive it, with a callback at each iteration."""
+        """Return a solver with a callback at each iteration; it must not outlive the functions."""
         ipopt, x = self.options.ipopt or {}, ca.MX.sym("x", self.problem.n_unknowns)
         f, g = functions.value(x)
         options: dict[str, Any] = {
@@ -833,7 +833,7 @@ class _Runs:
 
 @contextmanager
 def _interruptible() -> Iterator[Interrupt]:
-    """Return a context in which Ctrl-C ends the solver at its next iteration instead of within a callback.
+    """Return a context in which Ctrl-C ends the solver at its next iteration, not within a callback.
 
     Nothing changes where Ctrl-C is ignored already, as in a worker process, which its runner stops.
     """

@@ -1,4 +1,4 @@
-"""Initial states of the recordings of a fit: estimated, fixed, or functions of the parameters."""
+"""Initial states of a fit (estimated, fixed, given by parameters), constant inputs, start of trend and hum."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ class InitialStates:
 
     @property
     def known(self) -> BoolArray:
-        """States that are no unknowns of their own, (n_records, n)."""
+        """States that are not separate unknowns, (n_records, n)."""
         return ~np.isnan(self.values) | self.released
 
     def in_shooting(self, n_states: int) -> BoolArray:
-        """Return `known` with the offsets of random walks, which are estimated, (n_records, n_states)."""
+        """Return `known` extended by the random-walk offsets, which are estimated, (n_records, n_states)."""
         return np.pad(self.known, ((0, 0), (0, n_states - self.known.shape[1])))
 
     @property
     def shooting(self) -> FloatArray:
-        """Fixed states of the shooting problem, (n_records, n); NaN where one is free, zero before an impulse."""
+        """Fixed states of the shooting problem, (n_records, n); NaN for free states, zero before an impulse."""
         return np.where(self.released, 0.0, self.values)
 
 
 def initial_states(
     structure: AnyStructure, parameters: Sequence[Parameter], choice: InitialState, recordings: Sequence[str]
 ) -> InitialStates:
-    """Return the initial states that a caller chose.
+    """Return the initial states that the caller chose.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def initial_states(
 
 
 def released_states(problem: Shooting, theta: FloatArray, record_window: IntArray) -> FloatArray:
-    """Return what the structure's ``x0`` adds to the initial state of each record, (n_records, n).
+    """Return the contribution of the structure's ``x0`` to each record's initial state, (n_records, n).
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def released_states(problem: Shooting, theta: FloatArray, record_window: IntArra
 
 
 def _entries(state: OwnState, n: int) -> Sequence[float | str]:
-    """Return a number or a word for each state."""
+    """Return a number or a keyword for each state."""
     if isinstance(state, str):
         return [0.0 if state == "zero" else state] * n
     if np.shape(state) != (n,):
@@ -148,7 +148,7 @@ def _entries(state: OwnState, n: int) -> Sequence[float | str]:
 def check_inputs_suffice(
     structure: AnyStructure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
 ) -> None:
-    """Check that no free parameter acts only through inputs that do not move.
+    """Refuse free parameters that act only through constant inputs.
 
     An input that is zero in all recordings determines neither its gain nor its delay. A constant input determines its
     gain, but not its delay.
@@ -193,7 +193,7 @@ def check_inputs_suffice(
 
 
 def decay_notes(data: FitData) -> tuple[str, ...]:
-    """Return notes on inputs that do not move in a recording: a fit takes it as it is."""
+    """Return notes on inputs that are constant over a recording: a free decay or a constant force."""
     return tuple(
         FitNote.STEADY_INPUT(
             f"recording {record.name!r}: input {name!r} is {column[0]:g} throughout, "
@@ -217,7 +217,7 @@ def disturbance_starts(
     data: FitData,
     intersample: Hold | Sequence[Hold],
 ) -> list[dict[str, float]]:
-    """Return start values for each record: least squares on the residuals of a simulation of the model.
+    """Return start values of disturbances for each record, from least squares on simulation residuals.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def disturbance_starts(
 
 
 def without_disturbances(disturbances: Disturbances, data: FitData) -> FitData:
-    """Return the data less drift and hum, which would spoil start values that are found in the data.
+    """Return the data without drift and hum, for start values found in the data.
 
     The fit itself uses the data as they are. Offsets alone are left, because start values do not depend on them.
     """

@@ -1,1 +1,1 @@
-"""Start values of a fit from its data."""
+"""Start values of a fit: from the structure, from the caller, or from data."""

@@ -1,4 +1,4 @@
-"""Black-box model of recordings by a subspace method in prediction form (PBSID): no start values, no structure."""
+"""Black-box models of recordings by a subspace method (PBSID), and structures matched to their response."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FIRST_LAGS = 5  # smallest number of past samples
 
 @dataclass(frozen=True, eq=False)
 class BlackBox:
-    """Regression of the outputs on the past, and the state-space model that it contains.
+    """Regression of outputs on past samples, and the state-space model derived from it.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class BlackBox:
     singular_values: FloatArray
 
     def response(self, z: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-        """Return the response from inputs to outputs at points of the z-plane, and its standard deviation.
+        """Return the frequency response at points of the z-plane, and its standard deviation.
 
         Parameters
         ----------
@@ -173,14 +173,14 @@ def _lag_choices(least: int, most: int) -> list[int]:
 
 
 def _past(y: FloatArray, u: FloatArray, lags: int, first: int, last: int) -> FloatArray:
-    """Return the past outputs and inputs of the samples `first` to `last - 1`, by lag."""
+    """Return past outputs and inputs of the samples `first` to `last - 1`, by lag."""
     return np.hstack([signal[first - i : last - i] for signal in (y, u) for i in range(1, lags + 1)])
 
 
 def _regressions(
     scaled: Sequence[tuple[FloatArray, FloatArray]], choices: Sequence[int], skip: int, feedthrough: bool
 ) -> list[_Regression]:
-    """Return the regressions of the samples from `skip` on for increasing numbers of lags.
+    """Return regressions of the samples from `skip` on, with increasing numbers of lags.
 
     The triangle of the longest one, with the outputs as last columns, stands for all: it has the products of all rows.
     """
@@ -199,7 +199,7 @@ def _regressions(
 
 
 def _regress(X: FloatArray, Y: FloatArray, lags: int, n: int, n_constants: int) -> _Regression:
-    """Return the regression of Y on X, whose products are those of n samples; the last columns of X are constants."""
+    """Return the regression of Y on X, from products of n samples; the last columns of X are constants."""
     Q, R = np.linalg.qr(X)
     # Directions that the data do not excite, as in a free decay without noise, get no part of the coefficients.
     U, S, Vt = np.linalg.svd(R)
@@ -215,7 +215,7 @@ def _regress(X: FloatArray, Y: FloatArray, lags: int, n: int, n_constants: int) 
 
 
 def _constants(scaled: Sequence[tuple[FloatArray, FloatArray]], skip: int) -> FloatArray:
-    """Return a column of ones for each record: its offsets. A free decay has none, as it ends at rest."""
+    """Return a column of ones for each record (its offset); none for a free decay, which ends at rest."""
     counts = [len(y) - skip for y, _ in scaled]
     if not scaled[0][1].shape[1]:
         return np.zeros((sum(counts), 0))
@@ -228,7 +228,7 @@ def _states(
     order: int,
     scales: tuple[FloatArray, FloatArray],
 ) -> BlackBox:
-    """Return states, state matrix and output matrix from the Markov parameters of the predictor."""
+    """Return states, state matrix and output matrix from the predictor's Markov parameters."""
     p, (scale_y, scale_u) = regression.lags, scales
     n_y, n_u = len(scale_y), len(scale_u)
     auto = regression.coefficients[: p * n_y].T.reshape(n_y, p, n_y).transpose(1, 0, 2)
@@ -280,7 +280,7 @@ _VISIBLE = 1e-4  # singular value, of the largest, below which a state is roundi
 
 @dataclass(frozen=True, eq=False)
 class SubspaceOrders(Tabled, Pictured):
-    """What chooses the order of a subspace model; `gbid.identify.subspace_orders` makes it.
+    """Singular values and errors by order, from which a subspace model's order is chosen.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class SubspaceOrders(Tabled, Pictured):
         return brief(self, f"order {self.order} of {len(self.errors)} that were tried", errors=self.errors)
 
     def table(self) -> Table:
-        """Return a row for each order."""
+        """Return a table with a row for each order."""
         columns = [Column("order"), *(Column(name, format=4) for name in ("singular value", "error", "std"))]
         columns.append(Column("chosen"))
         numbers = zip(self.singular_values.tolist(), self.errors.tolist(), self.std.tolist(), strict=False)
@@ -321,7 +321,7 @@ def subspace_orders(
     outputs: str | Sequence[str] = "y",
     feedthrough: bool = False,
 ) -> SubspaceOrders:
-    """Return singular values and errors by order, from which `gbid.subspace` chooses with ``order="auto"``.
+    """Return singular values and errors by order, the basis of ``order="auto"`` in `gbid.subspace`.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def subspace(
     outputs: str | Sequence[str] = "y",
     feedthrough: bool = False,
 ) -> LinearModel:
-    """Return a linear model of recordings without a structure, in discrete time, by a subspace method.
+    """Return a discrete-time linear model of recordings, without a structure, by a subspace method.
 
     Parameters
     ----------
@@ -409,7 +409,7 @@ def subspace(
 
 
 def _order_of(records: Sequence[Record], feedthrough: bool) -> SubspaceOrders:
-    """Return the smallest order that simulates samples which were not used about as well as the best, and why."""
+    """Return the smallest order whose validation error is close to the best, and the reason."""
     cuts = [int(_TRAINING * r.n_samples) for r in records]
     begin = [Record(r.name, r.inputs[:cut], r.outputs[:cut]) for r, cut in zip(records, cuts, strict=True)]
     rest = [Record(r.name, r.inputs[cut:], r.outputs[cut:]) for r, cut in zip(records, cuts, strict=True)]
@@ -430,12 +430,12 @@ def _order_of(records: Sequence[Record], feedthrough: bool) -> SubspaceOrders:
 
 
 def _batch_means(values: FloatArray) -> FloatArray:
-    """Return the means of twenty batches of values (n,): unlike neighbouring values, they are nearly independent."""
+    """Return means of twenty batches of values (n,), which are nearly independent."""
     return np.array([batch.mean() for batch in np.array_split(values, 20)])
 
 
 def _errors(model: BlackBox, record: Record) -> FloatArray:
-    """Return the errors of a simulation from the best initial state, (n_samples, n_y); of an unstable model, infinite.
+    """Return simulation errors with the best initial state, (n_samples, n_y); infinite for an unstable model.
 
     One step ahead, an order that is too high would take the noise in.
     """
@@ -462,7 +462,7 @@ _CAPPED = 1e12  # largest size of a residual, so that squares of wild starts sta
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Response in continuous time that a structure is matched to.
+    """Continuous-time response that a structure is matched to.
 
     Attributes
     ----------
@@ -487,7 +487,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Parameters that were found by a match.
+    """Parameters of a structure matched to a response.
 
     Attributes
     ----------
@@ -504,7 +504,7 @@ class Match:
 def match(
     predictor: Predictor, target: Target, starts: Iterable[FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Match:
-    """Return parameters at which a structure has the response of a target.
+    """Return the parameters whose response is closest to a target.
 
     Parameters
     ----------
@@ -582,7 +582,7 @@ def _solve(
 def _residual(
     predictor: Predictor, target: Target, theta: FloatArray, equation: bool
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the weighted differences (n, n_y, n_columns), and their derivatives (n_free, n, n_y, n_columns)."""
+    """Return weighted differences (n, n_y, n_columns), and derivatives (n_free, n, n_y, n_columns)."""
     A, B, C, D, _, B_delayed, delay = predictor.matrices(theta)
     s = target.s
     n = len(A.value)
@@ -617,7 +617,7 @@ def _residual(
 
 
 def _characteristic_ratio(A: FloatArray, target: Target) -> ComplexArray:
-    """Return ``det(s I - A)`` over the polynomial of the poles of the black-box model."""
+    """Return ``det(s I - A)`` divided by the characteristic polynomial of the black-box model."""
     poles = np.linalg.eigvals(A)
     s, known = target.s, target.poles
     middle = float(np.sqrt(np.abs(s[0]) * np.abs(s[-1])))

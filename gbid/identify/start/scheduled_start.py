@@ -1,4 +1,4 @@
-"""Course of the scheduling variables in each recording, and its pieces with constant parameters."""
+"""Scheduled fits: scheduling signals in pieces of constant parameters, start values, equations of a piece."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DARK = 1e-7  # terms are not determined when a singular value is below this sha
 
 @dataclass(frozen=True, eq=False)
 class Courses:
-    """Scheduling variables of the recordings of a fit.
+    """Scheduling signals of the recordings of a fit, cut into pieces.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Courses:
 
     @property
     def terms(self) -> list[FloatArray]:
-        """Mean of the terms over the time of each piece of each recording, (n_pieces, n_terms).
+        """Time mean of the polynomial terms over each piece of each recording, (n_pieces, n_terms).
 
         The mean of a term, not the term of the mean: a parameter that is linear in the terms has its mean there. A
         piece lasts until the first sample of the next one, so that its own samples alone are half a sample early.
@@ -59,7 +59,7 @@ class Courses:
 
     @property
     def changes(self) -> list[list[float]]:
-        """Change within each piece of each recording, of the term that changes most.
+        """Largest change of any term within each piece of each recording.
 
         Twice the difference between the means of both halves: all of the change of a straight course, and little of the
         noise of a measured one. Zero for a piece that is too short for halves.
@@ -74,7 +74,7 @@ class Courses:
         return changes
 
     def cut(self, largest: float, shortest: int = 2) -> Courses:
-        """Return the courses with pieces cut so that no term changes by more than this in one, down to some samples."""
+        """Return the signals in shorter pieces: no term changes by more than a limit within a piece."""
         every = []
         for values, edges, changes in zip(self.values, self.edges, self.changes, strict=True):
             ends = itertools.pairwise([0, *edges, len(values) - 1])
@@ -100,7 +100,7 @@ class Courses:
 
 
 def _time_means(terms: FloatArray, ends: Sequence[int]) -> FloatArray:
-    """Return means of terms (n_samples, n_terms) between samples `ends`, straight from sample to sample."""
+    """Return time means of terms (n_samples, n_terms) between samples `ends`, by linear interpolation."""
     between = (terms[:-1] + terms[1:]) / 2
     return np.asarray(np.add.reduceat(between, ends[:-1]) / np.diff(ends)[:, None])
 
@@ -111,7 +111,7 @@ def _number(edges: Sequence[Sequence[int]]) -> int:
 
 
 def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording]) -> Courses:
-    """Return the course of the scheduling variables, from signals or conditions of the recordings.
+    """Return the scheduling signals, from signals or conditions of the recordings.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
 
 
 def _variable(recording: Recording, name: str) -> FloatArray:
-    """Return a scheduling variable of a recording, (n_samples,)."""
+    """Return the values of a scheduling variable in a recording, (n_samples,)."""
     if name in recording.signals:
         values = recording.signal(name)
         if values.shape[1] != 1 or not np.isfinite(values).all():
@@ -164,7 +164,7 @@ def _variable(recording: Recording, name: str) -> FloatArray:
 
 
 def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
-    """Return the first samples of all pieces but the first; a constant course is one piece."""
+    """Return the first samples of all pieces but the first; a constant signal is one piece."""
     n = len(values)
     if not np.ptp(values, axis=0).any():
         return ()
@@ -176,7 +176,7 @@ def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
 
 
 class PartFit(NamedTuple):
-    """Estimates of the parameters by name, and their variances; zero for fixed ones."""
+    """Estimates and variances of parameters by name; the variance of a fixed parameter is zero."""
 
     values: dict[str, float]
     variances: dict[str, float]
@@ -215,7 +215,7 @@ def fit_part(
 
 
 def _inverse_diagonal(hessian: FloatArray) -> FloatArray:
-    """Return the diagonal of the inverse of an information matrix; large where it is almost singular."""
+    """Return the diagonal of an inverse information matrix; large values for a nearly singular matrix."""
     size = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian * np.outer(size, size))
     return np.asarray((vectors**2 / np.maximum(values, 1e-12 * values[-1])).sum(axis=1) * size**2)
@@ -235,7 +235,7 @@ def scheduled_start(
     focus: Focus,
     given: Set[str],
 ) -> Begin:
-    """Return the start values of all parameters.
+    """Return start values of all parameters of a scheduled structure.
 
     Each part of a recording is fitted as if the variables were constant at their mean. Robust least squares through
     these estimates, weighted by their variances, give the coefficients.
@@ -310,7 +310,7 @@ def scheduled_start(
 
 
 def _robust(terms: FloatArray, values: FloatArray, std: FloatArray) -> FloatArray:
-    """Return coefficients by weighted least squares in which values far from the surface count less (Huber)."""
+    """Return coefficients of a surface by weighted least squares with Huber weights."""
     std = np.maximum(std, 0.3 * np.median(std)) if (std > 0).any() else np.ones(len(values))
     weight = 1 / std
     for _ in range(_ROUNDS):
@@ -322,7 +322,7 @@ def _robust(terms: FloatArray, values: FloatArray, std: FloatArray) -> FloatArra
 
 
 def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatArray:
-    """Return the coefficients of a surface, flattened towards its mean where it leaves the bounds of its parameter."""
+    """Return surface coefficients, flattened towards the mean where the surface leaves the parameter's bounds."""
     values = terms @ coefficients
     mean = float(np.clip(np.median(values), q.lower, q.upper))
     width = np.where(values < mean, mean - q.lower, q.upper - mean)
@@ -339,7 +339,7 @@ def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatA
 def tied_equations(
     structure: ScheduledStructure, parameters: Sequence[Parameter], begin: Mapping[str, float], courses: Courses
 ) -> tuple[Structure, tuple[Parameter, ...], Mapping[str, float], Ties]:
-    """Return the equations of a fit, their parameters, start values at the mean of the courses, and ties.
+    """Return the equations of a piece, their parameters, start values at mean scheduling signals, and ties.
 
     `parameters` and `begin` are those of the scheduled structure; the ties tell how those of the equations follow.
     """
@@ -360,7 +360,7 @@ def tied_equations(
 
 
 def centre_tie(structure: ScheduledStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray:
-    """Return the matrix from the free parameters of a fit to those of a predictor in the middle of the range.
+    """Return the matrix from free parameters of a fit to predictor parameters in the middle of the range.
 
     Only the first coefficient of each surface counts there.
     """

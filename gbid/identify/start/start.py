@@ -1,4 +1,4 @@
-"""Start values of a fit: of the caller, of the structure, or from the data, by least squares over frequencies."""
+"""Start values of a fit: from the caller, the structure, or data (least squares in the frequency domain, subspace)."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from gbid.structure.linear import evaluate, symbolic_matrices
 
 
 def spectrum_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
-    """Return angular frequencies (n_f,) [rad/s] and transforms (n_f, n) of a record's samples without the mean."""
+    """Return angular frequencies (n_f,) [rad/s] and Fourier transforms (n_f, n) of a record without means."""
     transform = np.fft.rfft(centred_rows(values)).T * sample_time
     return np.asarray(2 * np.pi * np.fft.rfftfreq(len(values), sample_time), float), transform
 
 
 def as_real(values: ComplexArray) -> FloatArray:
-    """Return real parts above imaginary parts, (2 n, n_columns), of complex equations (n, n_columns)."""
+    """Return complex equations (n, n_columns) as real ones, (2 n, n_columns): real parts above imaginary parts."""
     return np.vstack([values.real, values.imag])
 
 
 def record_ends(s: ComplexArray, record: int, n_records: int) -> ComplexArray:
-    """Return the columns of the ends of a record, (n, 2 n_records): a polynomial in s (n, 1); zero for others."""
+    """Return regressors for the end effects of records, (n, 2 n_records): polynomials in s (n, 1)."""
     ends = np.zeros((len(s), 2 * n_records), complex)
     ends[:, 2 * record : 2 * record + 2] = np.hstack([np.ones_like(s), s])
     return ends
@@ -66,7 +66,7 @@ def lag_start(records: tuple[Record, ...], channel: int, sample_time: float) -> 
 
 
 def _real_poles(a1: float, a2: float, sample_time: float) -> tuple[float, float]:
-    """Return slow and fast pole of ``1 + a1 s + a2 s^2``; the nearest real stable pair for other poles."""
+    """Return slow and fast pole of ``1 + a1 s + a2 s^2``; for other poles the nearest real stable pair."""
     fastest = 10 / sample_time
     a1 = max(a1, 2 / fastest)
     if a2 <= 0:
@@ -89,7 +89,7 @@ _ENOUGH = 50_000  # largest number of samples of a record for start values; the 
 
 
 def _resonance_band(spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]]) -> tuple[float, float]:
-    """Return the band around the resonance [rad/s], which contains the two modes, from frequencies and transforms.
+    """Return the band around the resonance [rad/s] that contains both modes, from spectra.
 
     Its centre is the peak of ``|P|^2 / |U|``, the geometric mean of power and gain. Power alone may have a peak where
     the input is strong: a PRBS has little power at the inverse of its hold time. Gain alone may have one where both are
@@ -110,7 +110,7 @@ def _resonance_band(spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]]
 
 
 def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
-    """Return K, D and B by least squares for given delays; a grid and a simplex search find the two delays."""
+    """Return K, D and B by least squares, and the two delays by a grid and a simplex search."""
     records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
     spectra = [(*spectrum_of(r.inputs, sample_time), spectrum_of(r.outputs, sample_time)[1]) for r in records]
     low, high = _resonance_band(spectra)
@@ -137,13 +137,13 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     onto, frequencies = basis.T.copy(), [each[-1] for each in equations]
 
     def delayed(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the delayed inputs as rows, real parts before imaginary ones, and what the motion leaves of them."""
+        """Return delayed inputs as rows (real before imaginary parts), and their part not explained by the motion."""
         columns = complex_drive.T * np.hstack([_turned(tau, omega) for omega in frequencies])
         rows = np.hstack([columns.real, columns.imag])
         return rows, rows - (rows @ basis) @ onto
 
     def unexplained(rows: FloatArray) -> float:
-        """Return the residual of two projected rows, up to a constant."""
+        """Return the residual for two projected rows, up to a constant."""
         products, share = rows @ rows.T, rows @ rest
         shares = share @ share.T
         ((a, b), (_, c)), ((d, e), (_, f)) = products.tolist(), shares.tolist()
@@ -173,14 +173,14 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
 
 
 def _turned(tau: FloatArray, omega: FloatArray) -> ComplexArray:
-    """Return ``exp(-1j tau omega)``, (n_tau, n_f), for evenly spaced frequencies: products of few exponentials."""
+    """Return ``exp(-1j tau omega)``, (n_tau, n_f), for evenly spaced frequencies, from few exponentials."""
     few = max(1, int(np.sqrt(len(omega))))
     coarse, fine = (np.exp(-1j * tau[:, None] * part) for part in (omega[::few], omega[:few] - omega[:1]))
     return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(tau), -1)[:, : len(omega)])
 
 
 def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None = None) -> dict[str, float]:
-    """Return all parameters by name, zero for those not found, from coefficients of displacement, speed and input."""
+    """Return parameters by name from coefficients of displacement, velocity and input; zero for others."""
     values = dict.fromkeys((q.name for q in structure.parameters), 0.0)
     matrices = {"k": motion[:2].T, "d": motion[2:4].T} | ({} if gain is None else {"b": gain.T})
     for letter, matrix in matrices.items():
@@ -190,7 +190,7 @@ def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None 
 
 @singledispatch
 def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG001
-    """Return start values of all parameters that have none.
+    """Return start values of all parameters that have none, from data.
 
     Parameters
     ----------
@@ -280,14 +280,14 @@ def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, 
 
 
 def _without_unbalance(bearing: RotorBearing, data: FitData) -> FitData:
-    """Return the data without the last two inputs when they are the unbalance, which start values do not need."""
+    """Return the data without the two unbalance inputs, if they are present."""
     if not (bearing.unbalance and data.records[0].inputs.shape[1] == 4):
         return data
     return replace(data, records=tuple(replace(r, inputs=r.inputs[:, :2]) for r in data.records))
 
 
 def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> FitData:
-    """Return the data of a loop with the inputs of its plant in place of what was injected.
+    """Return the data of a closed loop with the plant's inputs in place of the injected signals.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> F
 
 @dataclass(frozen=True)
 class MatchOptions:
-    """Search of parameters at which a structure has the response of a black-box model.
+    """Options of the search for parameters that match a black-box model's response.
 
     Attributes
     ----------
@@ -352,7 +352,7 @@ def subspace_start(
     parameters: Sequence[Parameter],
     intersample: Hold | Sequence[Hold],
 ) -> tuple[dict[str, float], str]:
-    """Return start values of a linear structure from the data alone, and how well they explain a black-box model.
+    """Return start values of a linear structure from data, and the quality of their match to a black-box model.
 
     Parameters
     ----------
@@ -405,7 +405,7 @@ def matched(
     target: Target,
     sample_time: float,
 ) -> tuple[dict[str, float], float]:
-    """Return parameters at which a structure has nearly a response, and the part that it does not explain."""
+    """Return parameters whose response approximates a target, and the unexplained part."""
     known = {q.name: q for q in parameters}
     free = [known[q.name] for q in predictor.free]
     bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
@@ -438,7 +438,7 @@ def _target(model: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool)
 
 
 def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
-    """Return frequencies [Hz] with logarithmic spacing, and more around the poles of the black-box model."""
+    """Return logarithmically spaced frequencies [Hz], denser around the poles of the black-box model."""
     high = MATCH.highest / data.sample_time
     longest = max(r.n_samples for r in data.records) * data.sample_time
     low = min(max(1 / longest, 0.05 * float(np.abs(poles).min()) / (2 * np.pi)), 0.1 * high)
@@ -452,7 +452,7 @@ def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
 def _draw(
     free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float
 ) -> Iterator[FloatArray]:
-    """Yield starts of the match: the stated one, then random ones between the bounds or over many decades."""
+    """Yield starts of the match: the stated values, then random values between bounds or over many decades."""
     random = np.random.default_rng(0)
     lower, upper = bounds.T
     stated = np.array([np.nan if q.start is None else q.start for q in free], float)
@@ -475,7 +475,7 @@ def _draw(
 
 @dataclass(frozen=True)
 class Begin:
-    """Start values of a fit.
+    """Start values of a fit, with origins and notes.
 
     Attributes
     ----------
@@ -493,7 +493,7 @@ class Begin:
 
 
 def has_no_starts(structure: Any) -> bool:
-    """Return whether a linear structure has no method of its own for start values from data."""
+    """Return whether a linear structure lacks a specific method for start values from data."""
     unknown = start_values.dispatch(type(structure)) is start_values.dispatch(object)
     return unknown and hasattr(structure, "matrices") and kind_of(structure).plant is structure
 
@@ -507,7 +507,7 @@ def begin_values(
     *,
     from_data: bool,
 ) -> Begin:
-    """Return the start values of a fit.
+    """Return the start values of a fit, with origins and notes.
 
     Parameters
     ----------
@@ -557,7 +557,7 @@ def begin_values(
 def _of_loop(
     loop: ClosedLoop, parameters: Sequence[Parameter], data: FitData, given: Set[str], *, from_data: bool
 ) -> Begin:
-    """Return the start values of a loop: those of its plant, whose inputs are known from what the controller did."""
+    """Return the start values of a loop: plant values, from inputs that the controller computed."""
     names = {gain.name for gain in loop.gains}
     gains = {q.name: q.start for q in parameters if q.name in names and q.start is not None}
     if missing := sorted(names - gains.keys()):

@@ -1,1 +1,1 @@
-"""Covariance of the estimates, for white and for coloured errors."""
+"""Uncertainty of a fit: covariances, residual tests, profile likelihoods, standard deviations of responses."""

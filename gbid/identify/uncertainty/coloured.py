@@ -1,4 +1,4 @@
-"""Coloured residuals: their autoregressive model, the covariance of the gradient."""
+"""Coloured residuals: autoregressive error models, whitening, and the covariance of the gradient."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ErrorModel(NamedTuple):
         return len(self.coefficients)
 
     def root(self, size: int) -> FloatArray:
-        """Return factors L of the spectrum, ``S = L L*``, at the frequencies of a real transform of `size` samples.
+        """Return spectral factors L with ``S = L L*``, at the frequencies of a real FFT of `size` samples.
 
         Returns
         -------
@@ -59,12 +59,12 @@ class ErrorModel(NamedTuple):
 
 
 def longest_order(n_samples: int, n_y: int) -> int:
-    """Return the largest order that is tried for so many samples."""
+    """Return the largest order to try for a given number of samples."""
     return int(np.clip(n_samples // (_SAMPLES_A_COEFFICIENT * n_y), 0, _LONGEST))
 
 
 def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray, int]:
-    """Return ``sum_k e[k-i] e[k-j]'`` for all pairs of lags up to the longest, over stretches without a gap.
+    """Return ``sum_k e[k-i] e[k-j]'`` for all pairs of lags up to the longest, over gap-free stretches.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray,
 
 
 def _stretch_products(e: FloatArray, longest: int) -> FloatArray:
-    """Return the sums of `lag_products` for one stretch, added over several signals, (n_signals, n_samples, n_y)."""
+    """Return the `lag_products` of one stretch, summed over signals (n_signals, n_samples, n_y)."""
     n_signals, n, n_y = e.shape
     M = np.empty((longest + 1, longest + 1, n_y, n_y))
     size = scipy.fft.next_fast_len(n + longest, real=True)
@@ -114,7 +114,7 @@ def _stretch_products(e: FloatArray, longest: int) -> FloatArray:
 
 
 def error_model(products: FloatArray, count: int, order: int | None = None) -> ErrorModel:
-    """Return the model by least squares, its order by the corrected criterion of Akaike.
+    """Return the autoregressive model by least squares, with the order of the corrected AIC.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def error_model(products: FloatArray, count: int, order: int | None = None) -> E
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:
-    """Return the inverses of many small matrices; those of one or two rows written out."""
+    """Return the inverses of many small matrices, in closed form for one or two rows."""
     n = matrices.shape[-1]
     if n == 1:
         return 1 / matrices
@@ -185,7 +185,7 @@ _NEAR = np.geomspace(0.1, 100.0, 14)  # distances of further frequencies from a 
 
 
 def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> FloatArray | None:
-    """Return the covariance of the gradient that the feedback of errors adds, per sample.
+    """Return the additional covariance of the gradient from the feedback of errors, per sample.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> 
 
 
 def _frequencies(poles: FloatArray) -> FloatArray:
-    """Return frequencies from 0 to pi, close together near the poles."""
+    """Return frequencies from 0 to pi, denser near the poles."""
     angles, widths = np.abs(np.angle(poles)), 1 - np.abs(poles)
     near = angles[:, None] + widths[:, None] * np.concatenate([-_NEAR, [0.0], _NEAR])
     grid = np.concatenate([np.linspace(0, np.pi, _UNIFORM), near.ravel()])
@@ -238,7 +238,7 @@ def _frequencies(poles: FloatArray) -> FloatArray:
 
 
 class RecordSensitivities(NamedTuple):
-    """Errors of a record, and the sensitivities of its predictions.
+    """Errors and prediction sensitivities of a record.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ class RecordSensitivities(NamedTuple):
 
 
 class Whitening(NamedTuple):
-    """Filter that makes errors of an autoregression white and of unit power.
+    """Whitening filter of an autoregressive error model: the filtered errors are white with unit power.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Whitening(NamedTuple):
     first: FloatArray
 
     def filtered(self, values: FloatArray) -> FloatArray:
-        """Return a stretch of rows, (n_y, m, n_samples), filtered.
+        """Return filtered rows of a stretch, (n_y, m, n_samples).
 
         The first samples are whitened by their covariance, so that none is lost and the likelihood is exact.
         """
@@ -297,7 +297,7 @@ class Whitening(NamedTuple):
         return np.concatenate([begin.reshape(p, n_y, m).transpose(1, 2, 0), result], axis=2)
 
     def log_det(self, n: int) -> float:
-        """Return the log-determinant of the covariance of `n` samples."""
+        """Return the log-determinant of the errors' covariance over `n` samples."""
         n_y = len(self.root)
         p = min(self.model.order, n)
         roots = np.concatenate([np.diag(self.first)[: p * n_y], np.tile(np.diag(self.root), n - p)])
@@ -305,7 +305,7 @@ class Whitening(NamedTuple):
 
 
 def whitening(model: ErrorModel, n_samples: int) -> Whitening:
-    """Return the whitening filter of a model of the errors of a record of so many samples.
+    """Return the whitening filter of an error model for a record of a given number of samples.
 
     Least squares can give an autoregression with a pole outside of the unit circle. A record says nothing of memory
     longer than itself, so all poles are drawn in to a memory of its length at most.
@@ -330,7 +330,7 @@ def whitening(model: ErrorModel, n_samples: int) -> Whitening:
 
 
 def whitened(record: RecordSensitivities, filter_: Whitening) -> RecordSensitivities:
-    """Return the record with errors and sensitivities filtered; a stretch that is left out ends the memory."""
+    """Return a record with whitened errors and sensitivities; the filter restarts after a left-out stretch."""
     both = np.concatenate([record.psi, record.errors.T[:, None]], axis=1)
     for some in _stretches(record.counted):
         both[:, :, some] = filter_.filtered(both[:, :, some])
@@ -345,7 +345,7 @@ def log_likelihood(record: RecordSensitivities, filter_: Whitening) -> float:
 
 
 def _stretches(counted: BoolArray) -> list[slice]:
-    """Return the stretches in which all samples count."""
+    """Return the stretches in which all samples are in the cost."""
     edges = [0, *(np.flatnonzero(np.diff(counted)) + 1).tolist(), len(counted)]
     return [slice(a, b) for a, b in pairwise(edges) if counted[a]]
 
@@ -363,7 +363,7 @@ _ROOM = 32 * 2**20  # bytes of transforms of shorter records that are held betwe
 def score_covariance(
     transforms: Sequence[Transform], weight: FloatArray, root: FloatArray, information: FloatArray | None = None
 ) -> tuple[FloatArray, list[ErrorModel]]:
-    """Return the covariance of ``sum psi' W e`` for errors of the colour that the residuals have.
+    """Return the covariance of ``sum psi' W e`` for coloured errors with the spectrum of the residuals.
 
     Parameters
     ----------
@@ -425,7 +425,7 @@ def score_covariance(
 def error_models(
     transforms: Iterable[Transform], C: FloatArray, orders: Sequence[int] | None = None
 ) -> list[ErrorModel]:
-    """Return the model of the errors of each record, with what the fit took from the residuals given back.
+    """Return the error model of each record, corrected for the degrees of freedom that the fit used.
 
     Parameters
     ----------
@@ -446,7 +446,7 @@ def error_models(
 
 
 def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
-    """Return the sum of both parts; of the first, feedback leaves at least a part.
+    """Return the covariance of the gradient: linear plus feedback term, limited to stay positive definite.
 
     The sum is a covariance where the residuals are what their model says. At a point that is no minimum they are not.
     """
@@ -466,7 +466,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class OnDemand(Sequence[Value]):
-    """Values that are made each time they are asked for: all at once would fill the memory."""
+    """Sequence of values computed at each access, to save memory."""
 
     make: Callable[[int], Value]
     size: int
@@ -479,7 +479,7 @@ class OnDemand(Sequence[Value]):
 
 
 class Transform(NamedTuple):
-    """Errors of a record, and the Fourier transform of the sensitivities of its predictions.
+    """Errors of a record, and the Fourier transform of its prediction sensitivities.
 
     Attributes
     ----------
@@ -505,7 +505,7 @@ class Transform(NamedTuple):
 
 
 def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
-    """Return the transform of the sensitivities by the unknowns that count as estimated, (n_kept,) integers."""
+    """Return the Fourier transform of the sensitivities to the estimated unknowns, `kept` (n_kept,)."""
     place = np.searchsorted(kept, record.columns)
     chosen = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
     n = len(record.errors)
@@ -521,7 +521,7 @@ def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
 
 
 def _products(record: Transform) -> tuple[FloatArray, int]:
-    """Return the products of residuals at all pairs of lags, over the stretches in which all samples count."""
+    """Return lag products of residuals over the stretches in the cost, at all pairs of lags."""
     stretches = [record.errors[some] for some in _stretches(record.counted)]
     longest = longest_order(int(record.counted.sum()), record.errors.shape[1])
     longest = min(longest, max(map(len, stretches)) // 2)
@@ -529,7 +529,7 @@ def _products(record: Transform) -> tuple[FloatArray, int]:
 
 
 def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: FloatArray) -> None:
-    """Add the covariance of the gradient of a record."""
+    """Add a record's contribution to the covariance of the gradient."""
     psi, columns, size = transform.psi, transform.columns, transform.size
     products = np.zeros((len(columns), len(columns)))
     factors = _weighted(model, weight, size)
@@ -547,7 +547,7 @@ def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: Flo
 
 
 def _add_information(total: FloatArray, transform: Transform, model: ErrorModel) -> None:
-    """Add the information of a record in generalised least squares, without its first samples."""
+    """Add a record's information in generalised least squares, without its first samples."""
     psi, columns, size, n = transform.psi, transform.columns, transform.size, len(transform.errors)
     n_y = len(psi)
     lags = np.concatenate([np.eye(n_y)[None], -model.coefficients])
@@ -559,7 +559,7 @@ def _add_information(total: FloatArray, transform: Transform, model: ErrorModel)
 
 
 def _filtered(psi: ComplexArray, row: ComplexArray) -> ComplexArray:
-    """Return the sum over outputs of transforms (n_y, n_columns, n_f), each times its factor (n_y, n_f)."""
+    """Return transforms (n_y, n_columns, n_f) times factors (n_y, n_f), summed over outputs."""
     total: ComplexArray = row[0] * psi[0]
     for factor, slopes in zip(row[1:], psi[1:], strict=True):
         total += factor * slopes
@@ -567,7 +567,7 @@ def _filtered(psi: ComplexArray, row: ComplexArray) -> ComplexArray:
 
 
 def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> ComplexArray:
-    """Return ``L* W`` at each frequency, (n_y, n_y, n_frequencies), of half the power at frequency zero."""
+    """Return ``L* W`` at each frequency, (n_y, n_y, n_frequencies), with half the power at frequency zero."""
     onto = np.einsum("fba,bc->acf", model.root(size).conj(), weight, optimize=True)
     onto[:, :, 0] /= np.sqrt(2)
     if size % 2 == 0:
@@ -576,7 +576,7 @@ def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> ComplexArray:
 
 
 def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
-    """Return the expected products, at all pairs of lags, of the part of the errors that the fit explained."""
+    """Return expected lag products of the error part that the fit explained, at all pairs of lags."""
     psi, columns, size = transform.psi, transform.columns, transform.size
     scale = np.sqrt(np.maximum(np.diag(C)[columns], np.finfo(float).tiny))
     values, axes = np.linalg.eigh(C[np.ix_(columns, columns)] / np.outer(scale, scale))

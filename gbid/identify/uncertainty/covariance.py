@@ -1,4 +1,4 @@
-"""Covariance of the estimates, for white and for coloured residuals; standard deviations of modes and static gain."""
+"""Covariance of the estimates, for white and coloured residuals; standard deviations of modes and static gain."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _GROWTH = 1e3  # of a model over a record, up to which one pass over the record 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Point of a fit at which its information and covariance are taken.
+    """Point of a fit at which information and covariance are evaluated.
 
     Attributes
     ----------
@@ -64,18 +64,18 @@ class Estimate:
 
     @property
     def n_all(self) -> int:
-        """Number of parameters and, after them, initial states of the records."""
+        """Number of parameters plus initial states of all records."""
         return self.problem.n_theta + len(self.record_window) * self.problem.n_states
 
     @property
     def given(self) -> BoolArray:
-        """Initial states that were given instead of estimated, (n_records, n)."""
+        """Initial states that were given, not estimated, (n_records, n)."""
         none = np.zeros((len(self.record_window), self.problem.n_states), bool)
         return none if self.known_starts is None else self.known_starts
 
     @cached_property
     def segments(self) -> dict[int, tuple[int, int]]:
-        """Part of each segment and its place there, by the number of its first window over all parts."""
+        """Part and position of each segment, by the index of its first window over all parts."""
         firsts = zip(self.problem.parts, self.problem.first_window[:-1].tolist(), strict=True)
         return {
             first + window: (k, i)
@@ -84,12 +84,12 @@ class Estimate:
         }
 
     def parts(self) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
-        """Return the predictor of each part at the estimates, the part, and the starts of its windows."""
+        """Return for each part its predictor at the estimates, the part, and the starts of its windows."""
         return self.problem.each(self.problem.values(self.theta), self.starts)
 
 
 def grows(at: Estimate) -> bool:
-    """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
+    """Return whether the model grows so much over a record that sensitivities need separate windows."""
     longest = max(segment.outputs.shape[0] for part in at.problem.parts for segment in part.blocks.segments)
     problem, on_the_way = at.problem, 0.0
     if isinstance(problem.parts[0].predictor, NonlinearPredictor):  # its growth may decay again
@@ -106,7 +106,7 @@ Chains = dict[int, tuple[FloatArray, int]]
 
 
 class Information(NamedTuple):
-    """Second derivatives of ``sum e' W e / 2`` by the parameters and, after them, the initial states of the records.
+    """Hessian of ``sum e' W e / 2`` with respect to parameters and initial states of all records.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ def information_over_records(
 
 
 def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) -> Information | None:
-    """Return the Gauss-Newton information of all records with the weight of the fit, from its pass over the windows.
+    """Return the Gauss-Newton information of all records from the fit's last pass over windows.
 
     It has no sensitivities. None where windows have gaps.
 
@@ -204,7 +204,7 @@ def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) 
 
 
 def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
-    """Propagate sensitivities from segment to segment of a record, over the stretches that are left out."""
+    """Propagate sensitivities from segment to segment of a record, across left-out stretches."""
     problem, n = at.problem, at.problem.n_states
     chains: Chains = {}
     for record, window in enumerate(at.record_window):
@@ -225,7 +225,7 @@ def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
 def _sensitivities(
     at: Estimate, cuts: Sequence[Blocks], passes: Sequence[Traced], chains: Chains
 ) -> OnDemand[RecordSensitivities]:
-    """Return the sensitivities of the records."""
+    """Return the prediction sensitivities of the records."""
     passed = [_Passed(*each) for each in zip(at.parts(), cuts, passes, strict=True)]
 
     def of_segment(window: int) -> _SegmentSensitivities:
@@ -239,7 +239,7 @@ def _sensitivities(
 
 
 class _Passed:
-    """Part of a problem after a pass over its windows, from which their sensitivities are made one by one."""
+    """Part of a problem after a pass over its windows, ready to compute sensitivities window by window."""
 
     def __init__(self, part: tuple[Any, RecordGroup, FloatArray], blocks: Blocks, traced: Traced) -> None:
         self._v, self._part, _ = part
@@ -258,7 +258,7 @@ class _Passed:
         return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
 
     def window(self, i: int, start: FloatArray) -> _SegmentSensitivities:
-        """Return the sensitivities of a window; `start` (n, n_all) are those of the state at its start."""
+        """Return the sensitivities of a window; `start` (n, n_all) are the sensitivities of its first state."""
         part, blocks = self._part, self._blocks
         some = slice(int(blocks.window_first[i]), int(blocks.window_first[i] + blocks.window_size[i]))
         n_samples, n_y, tie = int(blocks.size[some].sum()), blocks.y.shape[2], part.tie
@@ -281,7 +281,7 @@ class _Passed:
 
 
 class _SegmentSensitivities(NamedTuple):
-    """Sensitivities of a segment by the unknowns of its part and the state at its start.
+    """Sensitivities of a segment to its part's unknowns and its first state.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class _SegmentSensitivities(NamedTuple):
 
 
 def _joined(segments: Sequence[_SegmentSensitivities]) -> RecordSensitivities:
-    """Return the sensitivities of a record by the unknowns that matter, from its segments in the order of time."""
+    """Return the sensitivities of a record to the unknowns that affect it, from its segments in order."""
     fed = [(each.feedback, each.places) for each in segments if each.feedback is not None]
     only, moving = segments[0], np.flatnonzero(segments[0].start.any(axis=0))
     if len(segments) == 1 and np.array_equal(only.start[:, moving], np.eye(len(only.start))):  # the initial state
@@ -326,13 +326,13 @@ def _joined(segments: Sequence[_SegmentSensitivities]) -> RecordSensitivities:
 
 
 def _symmetric(omitted: PartHessian, tie: FloatArray | None) -> PartHessian:
-    """Return the symmetric part of the second-order term, by the unknowns of the problem."""
+    """Return the symmetrised second-order term with respect to the unknowns of the problem."""
     theta = (omitted.theta + omitted.theta.T) / 2
     return PartHessian(theta, omitted.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ omitted.mixed)
 
 
 def _total(at: Estimate, sums: Sequence[Sweep], chains: Chains) -> FloatArray:
-    """Return the Hessian by all unknowns (n_all, n_all); the chains convert the starts of segments to them."""
+    """Return the Hessian with respect to all unknowns (n_all, n_all); chains convert segment starts."""
     total = np.zeros((at.n_all, at.n_all))
     for part, first, sweep in zip(at.problem.parts, at.problem.first_window[:-1], sums, strict=True):
         index = part.index
@@ -351,7 +351,7 @@ def _total(at: Estimate, sums: Sequence[Sweep], chains: Chains) -> FloatArray:
 
 
 def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[PartHessian]:
-    """Return the second-order term of the Hessian for all parameters, with each segment as one window."""
+    """Return the second-order term of the Hessian for all parameters, with one window for each segment."""
     joined, kept = in_one_window(at.problem)
     _, starts = joined.unpack(at.problem.pack(at.theta, at.starts)[kept])
     ends, values = np.zeros_like(starts), at.problem.values(at.theta)
@@ -369,7 +369,7 @@ def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[Pa
 
 
 def windowed_records(at: Estimate) -> Iterator[RecordSensitivities]:
-    """Yield the sensitivities of each record by all parameters and its own coordinates of free trajectories.
+    """Yield each record's sensitivities to all parameters and to coordinates of its free trajectories.
 
     All gaps between windows are to be closed.
     """
@@ -394,7 +394,7 @@ def windowed_records(at: Estimate) -> Iterator[RecordSensitivities]:
 
 
 def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, known: BoolArray) -> FloatArray:
-    """Return the derivatives of the window starts, (n_windows, n, n_p + n), that close the linearised gaps.
+    """Return derivatives of window starts, (n_windows, n, n_p + n), that close the linearised gaps.
 
     `by_start` (n_windows - 1, n, n) and `by_theta` (n_windows - 1, n, n_p) are the derivatives of the windows' ends.
     `known` (n,) tells which states of the first start do not move; their coordinates stay zero.
@@ -427,7 +427,7 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
 
 
 def filtered_records(at: Estimate) -> list[RecordSensitivities]:
-    """Return errors and sensitivities of each record, filtered by the model of its errors."""
+    """Return whitened errors and sensitivities of each record."""
     n_y = at.problem.parts[0].blocks.y.shape[2]
     records = information_over_records(at, np.eye(n_y)).sensitivities
     return [whitened(record, each) for record, each in zip(records, at.filters, strict=True)]
@@ -436,7 +436,7 @@ def filtered_records(at: Estimate) -> list[RecordSensitivities]:
 def _information_of(
     at: Estimate, records: list[RecordSensitivities], weight: FloatArray, shaped: FloatArray
 ) -> Information:
-    """Return the Gauss-Newton information of all records for two weights (n_y, n_y), from their sensitivities."""
+    """Return the Gauss-Newton information of all records for two weights (n_y, n_y), from sensitivities."""
     hessians = np.zeros((2, at.n_all, at.n_all))
     for record in records:
         for total, W in zip(hessians, (weight, shaped), strict=True):
@@ -456,7 +456,7 @@ _INVOLVED = 1e-3  # smallest part of a parameter in a direction without informat
 
 
 class Covariance(NamedTuple):
-    """Uncertainty of the free parameters, when initial states are estimated, too.
+    """Covariances of the free parameters; estimated initial states are taken into account.
 
     Attributes
     ----------
@@ -495,21 +495,21 @@ class Covariance(NamedTuple):
         return np.asarray((np.abs(self.undetermined) > _INVOLVED).any(axis=0))
 
     def of(self, kind: Literal["white", "robust"]) -> FloatArray:
-        """Return the covariance of a kind."""
+        """Return the covariance for white or for coloured ("robust") residuals."""
         chosen: FloatArray = getattr(self, kind)
         return chosen
 
     def scaled(self, white: float, robust: float) -> Covariance:
-        """Return the covariances times these factors."""
+        """Return the covariances multiplied by factors for white and coloured residuals."""
         return self._replace(white=self.white * white, robust=self.robust * robust)
 
     def along(self, onto: FloatArray) -> Covariance:
-        """Return the covariances of the estimates after a projection ``onto`` (n_p, n_p)."""
+        """Return the covariances after a projection of the estimates by ``onto`` (n_p, n_p)."""
         white, robust, curvature = (onto @ each @ onto.T for each in (self.white, self.robust, self.curvature))
         return self._replace(white=white, robust=robust, curvature=curvature)
 
     def widened(self, bias: FloatArray) -> Covariance:
-        """Return the covariances with a bias (n_p,), whose size is known, as one more error."""
+        """Return the covariances with the outer product of a known bias (n_p,) added."""
         more = np.outer(bias, bias)
         return self._replace(white=self.white + more, robust=self.robust + more)
 
@@ -641,7 +641,7 @@ def _known(at: Estimate) -> FloatArray:
 
 
 def _along_constraints(at: Estimate) -> FloatArray:
-    """Return the slopes of the active constraints of the caller, (n_active, n_all): along them nothing moves."""
+    """Return slopes of the caller's active constraints, (n_active, n_all): directions without variance."""
     extra = at.problem.extra
     if extra is None:
         return np.zeros((0, at.n_all))
@@ -653,7 +653,7 @@ def _along_constraints(at: Estimate) -> FloatArray:
 
 
 def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) -> FloatArray:
-    """Return a matrix whose rows and columns of blurred directions are those of `instead`."""
+    """Return a matrix with the rows and columns of ill-determined directions replaced by `instead`'s."""
     result = matrix.copy()
     result[blurred], result[:, blurred] = instead[blurred], instead[:, blurred]
     return result
@@ -663,7 +663,7 @@ def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) 
 
 
 def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the oscillatory modes of a state matrix and their derivatives.
+    """Return the oscillatory modes of a state matrix, and their derivatives.
 
     Parameters
     ----------
@@ -700,7 +700,7 @@ def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArra
 
 
 class ModelSpreads(NamedTuple):
-    """Derivatives and standard deviations of the model of the first recording.
+    """Derivatives and standard deviations of the first recording's model.
 
     Attributes
     ----------
@@ -720,7 +720,7 @@ class ModelSpreads(NamedTuple):
 def model_spreads(
     at: Estimate, chosen: FloatArray, model: Any, names: Sequence[str], tie: FloatArray | None = None
 ) -> ModelSpreads:
-    """Return slopes and standard deviations of the model, for a nonlinear one at its working point.
+    """Return derivatives and standard deviations of the model; a nonlinear one at its working point.
 
     Parameters
     ----------

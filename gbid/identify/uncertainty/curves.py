@@ -1,4 +1,4 @@
-"""Frequency response of a model with standard deviations, propagated from the covariance of its parameters."""
+"""Frequency and time responses, poles and zeros of a model, with standard deviations from its parameters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LEVEL = 0.95
 
 
 class Tabled(Brief):
-    """Base of values that are a table of numbers."""
+    """Base of values that have a table of numbers."""
 
     @abstractmethod
     def table(self) -> Table:
@@ -62,13 +62,13 @@ class Tabled(Brief):
 
 
 class ChannelCurves(Tabled):
-    """Base of curves with a value for each pair of an output and an input."""
+    """Base of curves with a value for each pair (output, input)."""
 
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
     def _rows(self, points: FloatArray, *values: FloatArray) -> list[list[Entry]]:
-        """Return a row for each output, input and point (n,), with these values (n, n_outputs, n_inputs)."""
+        """Return a row for each output, input and point (n,), from values (n, n_outputs, n_inputs)."""
         return [
             [output, source, float(point), *(float(each[k, i, j]) for each in values)]
             for i, output in enumerate(self.output_names)
@@ -78,7 +78,7 @@ class ChannelCurves(Tabled):
 
 
 def _columns(first: Sequence[str], numbers: Sequence[str]) -> list[Column]:
-    """Return the columns of a table: of texts, and of numbers with six digits."""
+    """Return table columns: text columns, and number columns with six digits."""
     return [*map(Column, first), *(Column(name, format=6) for name in numbers)]
 
 
@@ -121,7 +121,7 @@ class Bode(ChannelCurves):
 
     @property
     def has_band(self) -> bool:
-        """Whether there are standard deviations."""
+        """Whether standard deviations are known."""
         return bool(np.isfinite(self.magnitude_std).any())
 
     def magnitude_band(self, level: float = LEVEL) -> tuple[FloatArray, FloatArray]:
@@ -158,7 +158,7 @@ class Bode(ChannelCurves):
         return self.phase_deg - half, self.phase_deg + half
 
     def table(self, level: float = LEVEL) -> Table:
-        """Return the numbers as a table, with a row for each output, input and frequency; for CSV.
+        """Return a table for CSV with a row for each output, input and frequency.
 
         Parameters
         ----------
@@ -230,7 +230,7 @@ def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
 
 
 def default_grid(source: UncertainModel) -> FloatArray:
-    """Return frequencies above zero that show the poles of a model, up to half the rate of its data [Hz]."""
+    """Return frequencies above zero that resolve the poles of a model, up to the Nyquist frequency [Hz]."""
     grid = frequency_grid(source.model)
     highest = 0.5 / source.sample_time if source.sample_time else np.inf
     inside = grid[(grid > 0) & (grid < highest)]
@@ -238,7 +238,7 @@ def default_grid(source: UncertainModel) -> FloatArray:
 
 
 def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the derivatives of the frequency response of a model by its parameters.
+    """Return derivatives of a model's frequency response with respect to its parameters.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: Float
 
 
 def quantile(level: float) -> float:
-    """Return the half width of a confidence interval in standard deviations.
+    """Return the half width of a confidence interval, as a number of standard deviations.
 
     Raises
     ------
@@ -296,7 +296,7 @@ _SETTLED, _PERIODS = 6.0, 15.0  # usual duration: time constants of the slowest 
 
 @dataclass(frozen=True, eq=False)
 class TimeResponse(ChannelCurves):
-    """Response of a model at rest to a unit step or a unit impulse of each input.
+    """Step or impulse response of a model at rest, for each input.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class TimeResponse(ChannelCurves):
 
     @property
     def has_band(self) -> bool:
-        """Whether there are standard deviations."""
+        """Whether standard deviations are known."""
         return bool(np.isfinite(self.std).any())
 
     def band(self, level: float = LEVEL) -> tuple[FloatArray, FloatArray]:
@@ -348,7 +348,7 @@ class TimeResponse(ChannelCurves):
         return self.value - half, self.value + half
 
     def table(self) -> Table:
-        """Return the numbers as a table, with a row for each output, input and time; for CSV."""
+        """Return a table for CSV with a row for each output, input and time."""
         columns = _columns(("output", "input"), ("time_s", "response", "std"))
         return Table(f"{self.kind} response of {self.name}", columns, self._rows(self.time_s, self.value, self.std))
 
@@ -409,7 +409,7 @@ def time_response(source: ModelLike, kind: Excited = "step", duration_s: Positiv
 def _course(
     A: Dual, b: Dual, C: Dual, t: FloatArray, kind: Excited, d_delay: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the outputs (n, n_y) after the instant zero of `t`, and their derivatives (n_p, n, n_y)."""
+    """Return the outputs (n, n_y) at times `t` from the excitation at zero, and derivatives (n_p, n, n_y)."""
     n_p, step = len(A.slope), float(t[1] - t[0])
     value, change = np.zeros((len(t), len(C.value))), np.zeros((n_p, len(t), len(C.value)))
     begun = np.flatnonzero(t >= 0)
@@ -430,7 +430,7 @@ def _course(
 
 
 def _settling(model: LinearModel) -> float:
-    """Return a duration that shows the response [s]: settled, but not longer than some periods of the slowest mode."""
+    """Return the duration of a response plot [s]: until settled, at most some periods of the slowest mode."""
     poles = model.poles()
     rates = np.abs(poles.real)[np.abs(poles.real) > 1e-9 * np.abs(poles).max(initial=0.0)]
     longest = _SETTLED / float(rates.min()) if len(rates) else 1.0
@@ -476,11 +476,11 @@ class PoleZero(Tabled):
 
     @property
     def has_ellipses(self) -> bool:
-        """Whether there are covariances."""
+        """Whether covariances are known."""
         return bool(np.isfinite(self.pole_covariance).any())
 
     def table(self) -> Table:
-        """Return the numbers as a table, with a row for each pole and zero; for CSV."""
+        """Return a table for CSV with a row for each pole and zero."""
         rows: list[list[Entry]] = []
         kinds = (("pole", self.poles, self.pole_covariance), ("zero", self.zeros, self.zero_covariance))
         for kind, s, cov in ((kind, *pair) for kind, *both in kinds for pair in zip(*both, strict=True)):
@@ -523,7 +523,7 @@ def pole_zero(source: ModelLike) -> PoleZero:
 
 
 def ellipse(covariance: FloatArray, level: float = LEVEL) -> FloatArray:
-    """Return points on the edge of the confidence region of two normal variables about zero.
+    """Return points on the border of a confidence region of two zero-mean normal variables.
 
     Parameters
     ----------
@@ -547,7 +547,7 @@ def ellipse(covariance: FloatArray, level: float = LEVEL) -> FloatArray:
 
 
 def _pencil(M: FloatArray, N: FloatArray, rate: float, dM: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the finite eigenvalues by rising magnitude, and their derivatives (n_free, n)."""
+    """Return the finite generalised eigenvalues by ascending magnitude, and derivatives (n_free, n)."""
     values, left, right = scipy.linalg.eig(M / rate, N, left=True, right=True)
     keep = np.flatnonzero(np.isfinite(values) & (np.abs(values) < _FAR))
     keep = keep[np.lexsort((values[keep].imag, np.abs(values[keep])))]
@@ -558,7 +558,7 @@ def _pencil(M: FloatArray, N: FloatArray, rate: float, dM: FloatArray) -> tuple[
 
 
 def _zeros(model: LinearModel, slopes: ModelSlopes, rate: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the transmission zeros and their derivatives (n_free, n).
+    """Return the transmission zeros and derivatives (n_free, n).
 
     There are none for a system that is not square, or with an input that acts both promptly and with a delay.
     """

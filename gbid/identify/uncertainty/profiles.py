@@ -1,4 +1,4 @@
-"""Profile likelihood of the estimates: constrained fits along one parameter, and the interval that they give."""
+"""Profile likelihoods of estimates: constrained fits along one parameter, and the confidence interval."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ above that of the fit."""
 
 @dataclass(frozen=True)
 class WalkOptions:
-    """Limits of the walk along a parameter, and of its constrained fits.
+    """Options of the walk along a parameter, and of its constrained fits.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ _NEAR = 4  # points of a cubic interpolation
 
 
 class ConstrainedFit(NamedTuple):
-    """Minimum of the cost for one value of a parameter: unknowns, values there, and the cost."""
+    """Minimum of the cost for a fixed value of one parameter: unknowns, iterate, and cost."""
 
     unknowns: FloatArray
     iterate: Any
@@ -86,7 +86,7 @@ class ConstrainedFit(NamedTuple):
 
 
 class Side(NamedTuple):
-    """Walk from the estimate to one side: values and ratios, those of the estimate first, and why it ended."""
+    """Walk from the estimate to one side: parameter values, likelihood ratios, and the reason for its end."""
 
     values: list[float]
     ratios: list[float]
@@ -95,7 +95,7 @@ class Side(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Profiler:
-    """Profile likelihoods around the estimates of a fit, by walks along a parameter; a pickled one is None.
+    """Computation of profile likelihoods around the estimates of a fit; it is pickled as None.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class Profiler:
 
     @property
     def likelihood_size(self) -> float:
-        """Log-likelihood over the cost."""
+        """Ratio of the log-likelihood to the cost."""
         return self.estimate.problem.likelihood_size
 
     def _profile(self, name: str, unit: str, level: float) -> Profile:
@@ -164,7 +164,7 @@ class Profiler:
         )
 
     def _walk(self, j: int, direction: int, first: float, to_ratio: float, threshold: float) -> Side:
-        """Walk to one side until the ratio is above the threshold."""
+        """Walk to one side until the likelihood ratio exceeds the threshold."""
         at, target = self.origin, float(np.sqrt(threshold))
         limit = float(self.estimate.problem.box[max(direction, 0)][j])
         begin, aim, length = float(at.unknowns[j]), target / WALK.steps, first
@@ -204,7 +204,7 @@ class Profiler:
 
     @cached_property
     def posed(self) -> tuple[Shooting, FloatArray]:
-        """Problem and its solution: with one window for each segment, unless the model grows in it."""
+        """Problem and its solution, with one window for each segment unless the model grows within it."""
         at = self.estimate
         unknowns = at.problem.pack(at.theta, at.starts)
         if not at.problem.parts or grows(at):
@@ -214,7 +214,7 @@ class Profiler:
 
     @cached_property
     def origin(self) -> ConstrainedFit:
-        """Minimum of the cost with all parameters free: the solution, and the last steps that the solver left."""
+        """Minimum of the cost with all parameters free: the solution after some more steps."""
         problem, unknowns = self.posed
         begin = ConstrainedFit(unknowns, problem.at(unknowns), problem.at(unknowns).cost)
         minimum = self.constrained(begin, None, 0.0)
@@ -223,7 +223,7 @@ class Profiler:
     def constrained(
         self, start: ConstrainedFit, j: int | None, change: float, ridge: float = WALK.ridge
     ) -> ConstrainedFit | None:
-        """Return the minimum with one unknown changed from that of `start`, and held.
+        """Return the minimum with one unknown fixed at a shifted value, from the minimum `start`.
 
         It is None where the model has no value or constraints contradict each other, and its cost nan where the solver
         does not converge. The first step is along the tangent of the path of the minima: Newton's, with the unknown
@@ -265,7 +265,7 @@ class Profiler:
         return ConstrainedFit(solution.unknowns, here, here.cost if solution.status.success else np.nan)
 
     def _step(self, here: Iterate, x: FloatArray, move: FloatArray, box: Box, ridge: float) -> FloatArray:
-        """Return the step to the minimum of the quadratic model within a box, where some unknowns `move` at first."""
+        """Return the step to the minimum of a quadratic model within a box; `move` are the first free unknowns."""
         problem = self.posed[0]
         pattern, slopes = problem.hessian_pattern, problem.jacobian_pattern
         beside = pattern.rows != pattern.columns
@@ -278,7 +278,7 @@ class Profiler:
         return move + gauss_newton_step(problem, model, x, box)
 
     def spread(self, j: int) -> tuple[float, float]:
-        """Return the standard deviation of a parameter, and by how much the ratio of its likelihoods is too large.
+        """Return a parameter's standard deviation, and the factor by which its likelihood ratios are too large.
 
         A parameter on a bound gets them as if it were free; one that is not determined has no standard deviation, and
         the factor of the others.
@@ -296,12 +296,12 @@ class Profiler:
         return np.nan, float(np.median(factors[known])) if known.any() else 1.0
 
     def losses(self, rises: FloatArray) -> FloatArray:
-        """Return the losses where the cost is larger by `rises`."""
+        """Return the losses at which the cost exceeds its minimum by `rises`."""
         return np.asarray(self.loss * np.exp(2 * rises) if self.estimate.problem.parts else self.loss + 2 * rises)
 
 
 def _end(side: Side, direction: int, threshold: float) -> float:
-    """Return the end of an interval on one side, scaled; infinite where it is open."""
+    """Return the end of a confidence interval on one side, scaled; infinite where it is open."""
     if side.end in ("open", "lower"):
         return direction * np.inf
     if side.end != "crossed":

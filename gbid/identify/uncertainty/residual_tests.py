@@ -1,4 +1,4 @@
-"""Tests of residuals: whether they are white, and whether they follow an input."""
+"""Tests of residuals: whiteness, and independence of the inputs."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
 
 
 def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
-    """Return the statistic for residuals (n_samples,) that are zero where there are none.
+    """Return the test statistic of residuals (n_samples,) with gaps, which are zeros.
 
     The correlation at each lag is over its variance for white residuals, one over the number of pairs; a lag without
     pairs has the statistic that it has on average.
@@ -120,7 +120,7 @@ def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
 
 
 class InputTest(NamedTuple):
-    """Result of the test whether residuals are independent of inputs.
+    """Result of the test of residuals' independence from inputs.
 
     Attributes
     ----------
@@ -139,12 +139,12 @@ class InputTest(NamedTuple):
 
     @property
     def p_value(self) -> FloatArray:
-        """Probability of a larger statistic for independent residuals, (n_y, n_u); one for an input that is still."""
+        """Probability of a larger statistic for independent residuals, (n_y, n_u); 1 for a constant input."""
         return np.where(self.freedom > 0, scipy.special.chdtrc(np.maximum(self.freedom, 1), self.statistic), 1.0)
 
 
 def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: bool = False) -> InputTest:
-    """Return the test whether residuals of one record are independent of its inputs, at lags from 0.
+    """Return the test of independence of one record's residuals from its inputs, at lags from 0.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
 
 
 def _of_pairs(residuals: FloatArray, source: FloatArray, colour: FloatArray, lags: int) -> FloatArray:
-    """Return the covariance of the correlations, (n_lags + 1, n_lags + 1), where some residuals are zero (none).
+    """Return the covariance of correlations, (n_lags + 1, n_lags + 1), for residuals with gaps (zeros).
 
     It is that of the samples of the input that meet a residual. An input whose levels change in step with the gaps is
     not alike at all of them.
@@ -219,7 +219,7 @@ def _of_pairs(residuals: FloatArray, source: FloatArray, colour: FloatArray, lag
 
 
 def followed(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], *, white: bool) -> FloatArray:
-    """Return the probability that residuals of several records depend on inputs so much by chance, (n_y, n_u).
+    """Return the p-value of the correlation of residuals with inputs, over several records, (n_y, n_u).
 
     Parameters
     ----------

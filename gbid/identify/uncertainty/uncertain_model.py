@@ -1,4 +1,4 @@
-"""Linear model with the uncertainty of its parameters, which is what a picture of a model needs."""
+"""Linear model with the covariance of its parameters, for figures with confidence bands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _by_free(letter: str, shape: str) -> Stored:
 
 @dataclass(frozen=True, eq=False)
 class ModelSlopes(Brief):
-    """Derivatives of the matrices of a continuous-time model by the free parameters of a fit.
+    """Derivatives of a continuous-time model's matrices with respect to the free parameters of a fit.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class UncertainModel(Brief):
     units: Mapping[str, str] = field(default_factory=dict)
 
     def known(self) -> tuple[ModelSlopes, FloatArray | None]:
-        """Return derivatives and covariance; no derivatives and None where one of them is missing or not finite."""
+        """Return derivatives and covariance; none of both where either is missing or not finite."""
         if self.slopes is not None and self.covariance is not None and np.isfinite(self.covariance).all():
             return self.slopes, self.covariance
         n, (n_y, n_u) = self.model.n_states, self.model.D.shape
@@ -83,11 +83,11 @@ class UncertainModel(Brief):
 
 @runtime_checkable
 class HasUncertainModel(Protocol):
-    """Result that has a model with its uncertainty, such as `FitResult`."""
+    """Protocol of a result with an uncertain model, such as `FitResult`."""
 
     @property
     def uncertain_model(self) -> UncertainModel:
-        """The model at the estimates, with derivatives and covariance."""
+        """Model at the estimates, with derivatives and covariance."""
         ...
 
 
@@ -96,7 +96,7 @@ ModelLike = LinearModel | UncertainModel | HasUncertainModel
 
 
 def as_uncertain(source: ModelLike) -> UncertainModel:
-    """Return the model of a source with its uncertainty; a plain model has none.
+    """Return a source's model with its uncertainty; a plain model has no uncertainty.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def as_uncertain(source: ModelLike) -> UncertainModel:
 
 
 def std_of(slopes: FloatArray, covariance: FloatArray | None) -> FloatArray:
-    """Return standard deviations from derivatives (n_free, ...) and the covariance of the parameters; nan without."""
+    """Return standard deviations from derivatives (n_free, ...) and the parameter covariance; nan if unknown."""
     if covariance is None:
         return np.full(slopes.shape[1:], np.nan)
     flat = slopes.reshape(len(slopes), -1)
@@ -131,7 +131,7 @@ def std_of(slopes: FloatArray, covariance: FloatArray | None) -> FloatArray:
 
 
 def plane_covariance(slopes: ComplexArray, covariance: FloatArray | None) -> FloatArray:
-    """Return covariances of real and imaginary part, (..., 2, 2), from complex derivatives (n_free, ...); nan without.
+    """Return covariances of real and imaginary part, (..., 2, 2), from complex derivatives (n_free, ...).
 
     `covariance` is that of the parameters.
     """
