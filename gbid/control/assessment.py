@@ -210,7 +210,7 @@ class Assessment(Brief):
 
     @property
     def stable(self) -> bool:
-        """Whether the loop of the design is stable at all points: the sampled one if it is for sampling."""
+        """Whether the loop is stable at all points: the sampled loop if `for_sampling`, else the continuous loop."""
         return self.sampled_stable if self.for_sampling else self.continuous_stable
 
     @property
@@ -225,7 +225,7 @@ class Assessment(Brief):
 
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
-        """Worst value of each of `FIGURES`, and the point where it occurs; nan where it is not known."""
+        """Worst value of each of `FIGURES`, and the point where it occurs; nan for an unknown figure."""
         worst = {}
         for name, figure in FIGURES.items():
             entries = [(figure.of(point), point) for point in self.points]
@@ -318,7 +318,7 @@ def assess(
 
 
 class _AssessedPlant(NamedTuple):
-    """Plant with Padé delays and with exact ones; its operating point and LPV model, where it has them."""
+    """Plant with Padé delays, plant with exact delays, operating point and LPV model (None if unknown)."""
 
     continuous: LinearModel
     exact: LinearModel
@@ -332,7 +332,7 @@ def _plants(
     points: Sequence[tuple[float, float]] | None,
     channels: TuneOptions,
 ) -> list[_AssessedPlant]:
-    """Return the plants of an assessment."""
+    """Return the plants of an assessment, each with Padé delays and with exact delays."""
     model = model.model if isinstance(model, LPVFit) else model
     if isinstance(model, Sequence) and all(isinstance(each, LPVModel | LPVFit) for each in model):
         return [plant for each in model for plant in _plants(each, structure, points, channels)]
@@ -432,7 +432,7 @@ class Comparison:
         return [self.table()]
 
     def table(self) -> Table:
-        """Return the table with its values; `to_frame` of it makes a data frame."""
+        """Return the comparison as one table with a row for each design; cells hold numbers and their printed text."""
         names = [row[0] for row in self.rows]
         shown = zip(names, self.rows, self.values, strict=True)
         rows: list[list[Entry]] = [[name, *map(Cell, values, texts[1:])] for name, texts, values in shown]
@@ -555,7 +555,7 @@ class DesignFigures:
 
 
 class CappedDesign(NamedTuple):
-    """Design under a cap on the peak of S_o.
+    """Best design whose peak of S_o stays below a limit.
 
     Attributes
     ----------
@@ -570,7 +570,7 @@ class CappedDesign(NamedTuple):
 
 
 class RobustPromise(NamedTuple):
-    """What a robust design promises on plants that it has not seen, beside the nominal design.
+    """Performance that a robust design reaches with a probability over random plants, beside the nominal design.
 
     Attributes
     ----------
@@ -604,7 +604,7 @@ class RobustPromise(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the promise is finite, and the limits hold with the probability as well."""
+        """Whether the predicted performance is finite and the limits hold with the stated probability."""
         return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
 
 
@@ -667,7 +667,7 @@ class TunedDesign(hdf5.InFile):
         }
 
     def tables(self) -> list[Table]:
-        """Return the tables of its figures, and of what the tuning found."""
+        """Return the tables of the performance figures and of the tuning result."""
         named = {self.name: self}
         return [*assessment_tables(named), *design_tables(named)]
 
@@ -684,7 +684,7 @@ _EXCESS = "excess: logarithm of the value over its limit, of damping factors the
 
 
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
-    """Return impact and sampling of the figures of designs as text."""
+    """Return the impact and the sampling for which the figures of designs were computed, as text."""
     hit = NO_IMPACT
     if impact.mass_kg is not None:
         hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
@@ -777,7 +777,7 @@ def comparison_table(title: str, performances: Sequence[DesignFigures], note: st
 
 
 def design_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
-    """Return tables of aims, goals, caps on the peak of S_o, and promises; those without rows are left out."""
+    """Return tables of objectives, goals, limits on the peak of S_o and robust performance, without empty tables."""
     tables = (_aims(designs), _goals(designs), _caps(designs), _promises(designs))
     return [table for table in tables if table.rows]
 

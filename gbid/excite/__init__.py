@@ -1,4 +1,4 @@
-"""Excitation design: signals that determine the parameters of a model best within limits.
+"""Excitation design: signals within limits that determine the parameters of a model as well as possible.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

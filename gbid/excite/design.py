@@ -1,4 +1,4 @@
-"""Design of an excitation for a model, within limits."""
+"""Design of an excitation for a model within limits, and of the length of a recording."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def design_excitation(
     kind: ExcitationKind = "multisine",
     focus: Focused = None,
 ) -> Excitation:
-    """Return the excitation of one recording that determines the parameters best, with the deviations to be expected.
+    """Return the excitation that determines the parameters best, with the expected standard deviations.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def recording_length(
     kind: ExcitationKind = "multisine",
     longest_s: float = 600.0,
 ) -> RecordingLength:
-    """Return how long a recording must be for given standard deviations.
+    """Return the length of a recording that reaches given standard deviations.
 
     The excitation is designed for the targets (A-criterion). Variances fall as one over the length, so a short design
     gives the length. It is designed again at that length, which must then reach the targets.

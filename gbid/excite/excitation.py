@@ -1,4 +1,4 @@
-"""Excitation: signals to play, the standard deviations to be expected, and the limits that they reach."""
+"""Excitation: signals, expected standard deviations, reached limits, and its CSV file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REACHED = 0.97
 
 @dataclass(frozen=True, eq=False)
 class ExcitationLines(Brief):
-    """Lines of a multisine.
+    """Spectral lines of a multisine.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class ExcitationSequence(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Excitation(Brief):
-    """Designed excitation.
+    """Designed excitation with its expected accuracy.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Excitation(Brief):
 
     @property
     def reached(self) -> tuple[str, ...]:
-        """Limits that the excitation reaches, within three percent."""
+        """Names of the limits that the excitation reaches within three percent."""
         return tuple(name for name, share in self.use.items() if share >= _REACHED)
 
     def _brief(self) -> Description:
@@ -138,7 +138,7 @@ class Excitation(Brief):
         )
 
     def table(self) -> Table:
-        """Return the quantities as a table: value, standard deviation to be expected, and its part of the value."""
+        """Return a table of the quantities: value, expected standard deviation, and relative standard deviation."""
         together = self.std_together
         heads = [Column("quantity"), Column("value", format=5), Column("expected std", format=2)]
         heads += [Column("with earlier recordings", format=2)] if together is not None else []
@@ -158,7 +158,7 @@ _TIME = "time_s"
 
 
 class PlayedFile(NamedTuple):
-    """Contents of the file of an excitation.
+    """Contents of an excitation file.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def save_excitation(excitation: Excitation, path: str | Path, overwrite: bool = 
 
 
 def read_excitation(path: str | Path) -> PlayedFile:
-    """Return the channels in the file of an excitation.
+    """Return the channels of an excitation file.
 
     Parameters
     ----------

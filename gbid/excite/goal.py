@@ -1,4 +1,4 @@
-"""Goal of a design: the quantities that count, their derivatives by the parameters, and the criterion."""
+"""Goal of an excitation: quantities, sensitivities of predictions, design criterion, and expected covariance."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NOISE_LINES = 2048  # of the integral over the frequencies of the noise's own i
 
 
 class Lines(NamedTuple):
-    """Model at spectral lines.
+    """Responses and sensitivities of a model at spectral lines.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Lines(NamedTuple):
     sensitivity: ComplexArray
 
     def information(self, spectrum: ComplexArray, n_samples: int) -> FloatArray:
-        """Return the information of a periodic excitation with these lines, (n_free, n_free).
+        """Return the information matrix of a periodic excitation at these lines, (n_free, n_free).
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Lines(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LineModel(Brief):
-    """Predictor of a known model, from which lines are computed.
+    """Predictor of a known model, evaluated at spectral lines.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class LineModel(Brief):
 
     @classmethod
     def of(cls, known: KnownModel, sample_time: float) -> LineModel:
-        """Return the line model of a known model, sampled every `sample_time` [s]."""
+        """Return the line model of a known model at a sample time [s]."""
         held = {name: float(known.parameters[name]) for name in known.fixed}
         return cls(known, build_predictor(known.structure, held, sample_time, known.intersample, known.focus))
 
@@ -113,14 +113,14 @@ class LineModel(Brief):
         return Lines(frequency_hz, response, np.einsum("ij,fpju->fpiu", self._whiten, slopes))
 
     def response(self, frequency_hz: FloatArray, parameters: dict[str, float] | None = None) -> ComplexArray:
-        """Response at lines (n_lines, n_outputs, n_inputs), also for changed parameters."""
+        """Response at lines (n_lines, n_outputs, n_inputs); `parameters` replaces some known values."""
         known = {**self.known.parameters, **(parameters or {})}
         v = self.predictor.at(np.array([float(known[name]) for name in self.free])) if parameters else self._values
         z = self._turns(frequency_hz)
         return _response(v, z, *self._regressors(v, z))
 
     def noise_information(self, n_samples: int) -> FloatArray:
-        """Return the information on the parameters that the errors themselves carry through the disturbance gain."""
+        """Return the information that prediction errors carry on the parameters through the disturbance gain."""
         n_p = len(self.free)
         if not self.predictor.feeds_back:
             return np.zeros((n_p, n_p))
@@ -139,7 +139,7 @@ class LineModel(Brief):
         return np.asarray(np.exp(2j * np.pi * frequency_hz * self.sample_time))
 
     def _regressors(self, v: PredictorValues, z: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
-        """Return the regressors by the inputs and by the outputs at lines, (n_lines, n_z, n), from their impulses."""
+        """Return the regressors from inputs and from outputs at lines, (n_lines, n_z, n), from impulse responses."""
         n_u, n_y = self.predictor.n_inputs, self.predictor.n_outputs
         middle = max((abs(s) for s in v.shift), default=0) + 4
         none = np.zeros((2 * middle + 1, max(n_u, n_y)))
@@ -158,7 +158,7 @@ class LineModel(Brief):
 
 
 def _transfer(v: PredictorValues, z: ComplexArray, regressors: ComplexArray) -> ComplexArray:
-    """Return the transfer function from a source of regressors to the predictions, (n_lines, n_y, n)."""
+    """Return the transfer function from a group of regressors to the predictions, (n_lines, n_y, n)."""
     return np.asarray(v.C @ _states(v, z, v.G @ regressors) + v.H @ regressors)
 
 
@@ -168,7 +168,7 @@ def _states(v: PredictorValues, z: ComplexArray, forcing: ComplexArray) -> Compl
 
 
 def _response(v: PredictorValues, z: ComplexArray, by_u: ComplexArray, by_y: ComplexArray | None) -> ComplexArray:
-    """Return the response of the outputs: the predictions without errors are the outputs."""
+    """Return the response of the outputs; without prediction errors the outputs equal the predictions."""
     direct = _transfer(v, z, by_u)
     if by_y is None:
         return direct
@@ -177,7 +177,7 @@ def _response(v: PredictorValues, z: ComplexArray, by_u: ComplexArray, by_y: Com
 
 
 def _slopes(v: PredictorValues, z: ComplexArray, regressors: ComplexArray) -> ComplexArray:
-    """Return the derivatives of the predictions by the parameters, at fixed data, (n_lines, n_p, n_y, n)."""
+    """Return the derivatives of the predictions by the parameters for fixed data, (n_lines, n_p, n_y, n)."""
     x = _states(v, z, v.G @ regressors)[:, None]
     source = regressors[:, None]
     back = np.linalg.solve((z[:, None, None] * np.eye(len(v.F)) - v.F).transpose(0, 2, 1), v.C.T).transpose(0, 2, 1)
@@ -193,7 +193,7 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Quantities:
-    """Free parameters of a model, and frequency and damping of its oscillatory modes.
+    """Free parameters of a model, and frequency and damping factor of its oscillatory modes.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Quantities:
     slopes: FloatArray
 
     def std(self, covariance: FloatArray) -> dict[str, float]:
-        """Return standard deviations from the covariance of the free parameters, NaN where it does not determine."""
+        """Return standard deviations from the covariance of the free parameters; NaN for undetermined quantities."""
         # A quantity that a parameter does not move is not touched by that parameter's missing deviation.
         unknown = (self.slopes != 0) @ np.isnan(np.diag(covariance))
         variance = np.einsum("qp,pr,qr->q", self.slopes, np.nan_to_num(covariance), self.slopes)
@@ -218,7 +218,7 @@ class Quantities:
         return dict(zip(self.names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
 
     def matching(self, patterns: Sequence[str], what: str) -> list[int]:
-        """Return the positions of the quantities that match one of the patterns.
+        """Return the indices of the quantities whose names match one of the patterns.
 
         Raises
         ------
@@ -236,7 +236,7 @@ class Quantities:
 
 @dataclass(frozen=True, eq=False)
 class DesignGoal:
-    """Criterion of a design: of the quantities ``J p`` that count, log det (D) or log trace (A) of their covariance.
+    """Design criterion for quantities ``J p``: log det (D-optimal) or log trace (A-optimal) of their covariance.
 
     All parameters together count as well, with a weight of one hundredth. So a design for few quantities leaves no
     parameter undetermined.
@@ -259,7 +259,7 @@ class DesignGoal:
     earlier: FloatArray | float = 0.0
 
     def loss(self, information: FloatArray) -> float:
-        """Return twice the logarithm of a mean standard deviation; infinite where parameters are not determined."""
+        """Return twice the logarithm of a mean standard deviation; infinite if parameters are undetermined."""
         inverse = _inverse(information + self.earlier)
         if inverse is None:
             return np.inf
@@ -268,7 +268,7 @@ class DesignGoal:
         return float(counted + _OTHERS * np.linalg.slogdet(inverse)[1] / len(inverse))
 
     def gradient(self, information: FloatArray) -> FloatArray:
-        """Return P: further information dM lowers the loss by tr(P dM).
+        """Return P: an increment dM of the information lowers the loss by tr(P dM).
 
         Raises
         ------
@@ -290,7 +290,7 @@ class DesignGoal:
 
 
 def quantities_of(lines: LineModel) -> Quantities:
-    """Return the free parameters of a model and its modes, with derivatives."""
+    """Return the free parameters and modes of a model, with the derivatives of the modes."""
     A = lines.predictor.matrices(lines.theta)[0]
     modes, slopes = mode_slopes(A)
     of_modes, names, values = list[FloatArray](), list[str](), list[float]()
@@ -308,7 +308,7 @@ def quantities_of(lines: LineModel) -> Quantities:
 
 
 def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignGoal:
-    """Return the goal of a design.
+    """Return the design goal for the chosen quantities and criterion.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignG
 
 
 def _inverse(information: FloatArray) -> FloatArray | None:
-    """Return the covariance, or None where the information is singular."""
+    """Return the covariance, the inverse of the information; None for a singular information matrix."""
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     if not values[0] > _SINGULAR * values[-1]:
@@ -364,7 +364,7 @@ _SEED = 20260  # of the errors of the simulated recording; the information hardl
 
 
 class Expected(NamedTuple):
-    """Covariance to be expected.
+    """Expected covariance of a fit.
 
     Attributes
     ----------
@@ -401,7 +401,7 @@ def simulated_outputs(known: KnownModel, inputs: FloatArray, sample_time: float,
 
 
 def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: float) -> Expected:
-    """Return the covariance of the parameters that a fit to a recording with these inputs will have.
+    """Return the expected parameter covariance of a fit to a recording with given inputs.
 
     A recording is simulated with the errors of the model. The covariance is that of `gbid.fit` at the true parameters,
     with an estimated initial state and errors that weigh as their covariance says. So it is what the result of a fit

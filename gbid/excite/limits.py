@@ -1,4 +1,4 @@
-"""Limits of an excitation: peaks of signals, radius of the disc, and the machines that the model may stand for."""
+"""Limits of an excitation: peaks of signals, radius of the disc, and clearance of possible machines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SAFE = 0.98
 
 @dataclass(frozen=True)
 class PossibleMachine:
-    """Machine that the model may stand for: another draw of its parameters.
+    """Another random draw of the machine that a model describes.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class PossibleMachine:
 
 
 class ChannelLimit(NamedTuple):
-    """Largest distance of some channels of the inputs or outputs of a model from their centre.
+    """Largest distance of chosen input or output channels from their centre.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class ExcitationLimits:
 
 @dataclass(frozen=True, eq=False)
 class LimitedSignal:
-    """Signal with its limit: its response to the inputs at lines, divided by the limit.
+    """Signal with a limit: its response to the inputs at spectral lines, divided by the limit.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class LimitedSignal:
 def limited_signals(
     limits: ExcitationLimits, known: KnownModel, response: ComplexArray, others: Sequence[ComplexArray] = ()
 ) -> list[LimitedSignal]:
-    """Return the limited signals at lines.
+    """Return the limited signals at spectral lines.
 
     Parameters
     ----------

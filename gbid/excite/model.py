@@ -1,4 +1,4 @@
-"""Structure that is linear in its parameters, with the values and derivatives of a fitted model."""
+"""Model for which an excitation is designed: known parameters, noise, and linearised structures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gbid.structure.parameter import Values
 
 
 def tangent_structure(fit: FitResult) -> tuple[LinearStructure, list[int]]:
-    """Return a fitted model linearised in its parameters, as a structure, and the parameters that act in it.
+    """Return a fitted model linearised in its parameters as a structure, with the names of its effective parameters.
 
     Its matrices are ``A(p) = A + sum dA/dp_i (p_i - p_i0)``, and so on. At the estimates it has the same predictions
     with the same derivatives as the structure of the fit, so it has the same information. A stored fit knows its
@@ -86,7 +86,7 @@ def _moved(value: FloatArray, slope: FloatArray | None, acting: list[int], steps
 
 @dataclass(frozen=True, eq=False)
 class KnownModel(Brief):
-    """Structure at known parameters with the noise of its outputs: all that an expected covariance needs.
+    """Structure with known parameters and output noise, for which an expected covariance is computed.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class KnownModel(Brief):
             object.__setattr__(self, name, value)
 
     def earlier_of(self, free: tuple[str, ...]) -> FloatArray | None:
-        """Return the earlier information on the free parameters; None without earlier recordings.
+        """Return the information on the free parameters from earlier recordings; None without them.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class KnownModel(Brief):
 
 
 def known_model(model: Any, earlier: bool = True) -> KnownModel:
-    """Return the model of an excitation from a fit; a `KnownModel` is returned as it is.
+    """Return the model for an excitation design from a fit; a `KnownModel` is returned unchanged.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def known_model(model: Any, earlier: bool = True) -> KnownModel:
 
 
 def _labels(signals: tuple[str, ...], count: int) -> list[str]:
-    """Return the labels of channels, such as ``p_x``; of unknown signals with several channels they are numbered."""
+    """Return channel labels such as ``p_x``; unknown signals with several channels get numbers."""
     per, labels = count // len(signals), list[str]()
     if per * len(signals) != count:
         raise UsageError(f"{count} channels in the signals {', '.join(signals)}: they differ in number; name channels")

@@ -1,4 +1,4 @@
-"""Signals of an excitation: multisines with optimal spectrum and small peaks, PRBS, and their use of the limits."""
+"""Signals of an excitation: multisines with optimal spectrum and small peaks, and PRBS."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Waves:
         self._first = np.cumsum([0, *(each.response.shape[1] for each in limited)])[:-1]
 
     def norm(self, spectrum: ComplexArray, exponent: float) -> tuple[float, ComplexArray]:
-        """Return a norm of all signals over time, which tends to the largest peak, and its slope by the spectrum.
+        """Return a p-norm of all signals over time, which tends to the largest peak, and its gradient by the spectrum.
 
         The slope g is that of ``norm(U + dU) = norm(U) + Re sum conj(g) dU``.
         """
@@ -67,7 +67,7 @@ def with_small_peaks(
     spectrum: ComplexArray,
     n_samples: int,
 ) -> ComplexArray:
-    """Return the amplitudes of a multisine whose largest peak is one, with the best criterion nearby.
+    """Return the amplitudes of a multisine scaled to a largest peak of one, with the best criterion found locally.
 
     First the phases alone are moved by the steepest norm of the signals (Guillaume, Schoukens, Pintelon and Kollar
     1991). Then amplitudes and phases together are moved by the criterion of the signal at its largest peak.
@@ -102,7 +102,7 @@ def with_small_peaks(
 def _descended(
     goal: DesignGoal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray
 ) -> tuple[float, ComplexArray]:
-    """Return criterion and amplitudes of the descent from given phases."""
+    """Return criterion and amplitudes at the end of a descent from given phases."""
 
     def log_norm(angle: FloatArray, exponent: float) -> tuple[float, FloatArray]:
         turned: ComplexArray = spectrum * np.exp(1j * angle)[:, None]
@@ -187,7 +187,7 @@ class Spectrum(NamedTuple):
 
 
 def optimal_spectrum(goal: DesignGoal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int) -> Spectrum:
-    """Return the spectrum with the best criterion within limits of the mean squares.
+    """Return the spectrum with the best criterion under limits on the mean squares.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def _information(psi: ComplexArray, root: ComplexArray) -> FloatArray:
 
 
 def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
-    """Return ``Psi^H P Psi`` at each line, (n_lines, n_u, n_u), which is not negative."""
+    """Return ``Psi^H P Psi`` at each line, (n_lines, n_u, n_u), positive semidefinite."""
     values, vectors = np.linalg.eigh(P)
     turned = np.einsum("pq,fpyu->fqyu", vectors * np.sqrt(np.maximum(values, 0.0)), psi, optimize=True)
     flat = turned.reshape(len(psi), -1, psi.shape[3])
@@ -260,7 +260,7 @@ def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
 
 
 def _root(matrices: ComplexArray, power: float) -> ComplexArray:
-    """Return a power of Hermitian matrices that are not negative."""
+    """Return a real power of positive semidefinite Hermitian matrices."""
     values, vectors = np.linalg.eigh(matrices)
     values = np.maximum(values, np.finfo(float).tiny if power < 0 else 0.0) ** power
     return np.asarray((vectors * values[:, None, :]) @ vectors.conj().transpose(0, 2, 1))
@@ -276,7 +276,7 @@ IN_MACHINES = "clearance in all machines"
 def use_of(
     limits: ExcitationLimits, lines: LineModel, signal: FloatArray, with_machines: bool = False
 ) -> dict[str, float]:
-    """Return the largest value of each limited signal over the part of its limit that a design uses.
+    """Return the largest value of each limited signal, as a share of the usable limit.
 
     The signal is periodic, and its transient has passed.
 
@@ -307,7 +307,7 @@ def use_of(
 def disc_in_machines(
     limits: ExcitationLimits, lines: LineModel, bins: IntArray, spectrum: ComplexArray, period: int
 ) -> Iterator[float]:
-    """Yield the largest radius of the disc in each machine of the limits, over the rest of its clearance.
+    """Yield the largest disc radius in each possible machine, as a share of the remaining clearance.
 
     Parameters
     ----------
@@ -332,14 +332,14 @@ def disc_in_machines(
 
 
 def _one_period(bins: IntArray, spectrum: ComplexArray, period: int) -> FloatArray:
-    """Return one period of signals with amplitudes (n_lines, n) at lines: (period, n)."""
+    """Return one period (period, n) of signals with amplitudes (n_lines, n) at spectral lines."""
     every_line = np.zeros((period // 2 + 1, spectrum.shape[1]), complex)
     every_line[bins] = spectrum * (period / 2)
     return np.fft.irfft(every_line, period, axis=0)
 
 
 def _lines_of(lines: LineModel, signal: FloatArray, columns: list[int]) -> tuple[IntArray, ComplexArray, int]:
-    """Return the lines of a signal that move the disc."""
+    """Return the spectral lines of a signal that move the disc."""
     n = len(signal)
     bins = np.arange(1, n // 2)
     spectrum = np.fft.rfft(signal, axis=0)[bins] * (2 / n)
@@ -365,7 +365,7 @@ _HARDEST = 8  # machines that are designed for; the others are only checked
 
 
 class Multisine(NamedTuple):
-    """Multisine at its limits.
+    """Multisine scaled to its limits.
 
     Attributes
     ----------
@@ -439,7 +439,7 @@ def design_multisine(goal: DesignGoal, lines: LineModel, limits: ExcitationLimit
 
 
 def _crest(signal: LimitedSignal, made: Multisine) -> float:
-    """Return the largest value of a limited signal over its root mean square."""
+    """Return the crest factor of a limited signal: largest value over root mean square."""
     values = _one_period(made.bins, np.einsum("fcu,fu->fc", signal.response, made.spectrum), made.period)
     way = np.linalg.norm(values, axis=1)
     return float(way.max() / np.sqrt(np.mean(way**2)))
@@ -448,14 +448,14 @@ def _crest(signal: LimitedSignal, made: Multisine) -> float:
 def _limited(
     limits: ExcitationLimits, lines: LineModel, frequency_hz: FloatArray, response: ComplexArray, hard: Sequence[int]
 ) -> list[LimitedSignal]:
-    """Limited signals of the model, and of the machines that come closest to the wall."""
+    """Return the limited signals of the model, and of the possible machines with the smallest remaining clearance."""
     chosen = replace(limits, machines=tuple(limits.machines[i] for i in hard))
     others = [lines.response(frequency_hz, dict(machine.parameters)) for machine in chosen.machines]
     return limited_signals(chosen, lines.known, response, others)
 
 
 def _candidates(lines: LineModel, period_s: float) -> IntArray:
-    """Return lines as multiples of two over the period: some over the whole range, more around the modes."""
+    """Return candidate lines as multiples of two over the period: over the whole range, denser around the modes."""
     top = _HIGHEST / lines.sample_time
     wanted = [np.geomspace(2 / period_s, top, _ALONG)]
     for frequency, damping in lines.known.model.modes():
@@ -466,7 +466,7 @@ def _candidates(lines: LineModel, period_s: float) -> IntArray:
 
 
 def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray) -> tuple[IntArray, ComplexArray]:
-    """Return lines of one direction each: the first direction of each cross spectrum, and the second one line above.
+    """Return lines of one direction each: the first direction of a cross spectrum, the second one line higher.
 
     Those that hardly inform are left out.
     """
@@ -493,7 +493,7 @@ _HIGHEST_ON_GRID = 0.45  # of the sampling frequency
 def choose_prbs(
     goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int
 ) -> tuple[ExcitationSequence, FloatArray]:
-    """Return the sequence of maximal length with the best criterion within limits, and the inputs (n_samples, n_u).
+    """Return the maximal-length sequence with the best criterion within limits, and its inputs (n_samples, n_u).
 
     Parameters
     ----------
@@ -578,7 +578,7 @@ def _signal(sequence: ExcitationSequence, n_samples: int, sample_time: float) ->
 def _information_on_grid(
     sensitivity: ComplexArray, spectrum: ComplexArray, cell: IntArray, n_samples: int
 ) -> FloatArray:
-    """Return the information of a signal whose lines count at the nearest line of a grid."""
+    """Return the information of a signal; each of its lines is evaluated at the nearest line of a grid."""
     n_u = spectrum.shape[1]
     cross = np.zeros((len(sensitivity), n_u, n_u), complex)
     np.add.at(cross, cell, spectrum[:, :, None] * spectrum[:, None, :].conj())

@@ -1,4 +1,4 @@
-"""Control chain: everything between the samples of the sensors and the references of the piezo stacks."""
+"""Control chain of a design, from sensor samples to piezo references: options, tables, anti-windup, checks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _RESERVED = frozenset(_WORDS.split())
 
 
 def c_name(text: str) -> str:
-    """Return a text after a check that it may be the prefix of names in C.
+    """Return a text after a check that it is a valid prefix of C names.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def c_name(text: str) -> str:
 
 
 def c_comment(text: str) -> str:
-    """Return a free text for a comment in C: one line of ASCII without marks of comments, trigraphs and backslashes.
+    """Return a free text as one line for a C comment: ASCII without comment marks, trigraphs and backslashes.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def c_comment(text: str) -> str:
 
 
 def c_number(value: float, number: str) -> str:
-    """Return a number as a literal of type double or float that reads as the same bits.
+    """Return a C literal of type double or float that is read back with identical bits.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ class ChainOptions:
             object.__setattr__(self, "limit_m", limit)
 
     def on(self, machine: lpv.MachineData) -> ChainOptions:
-        """Return these options with stroke and limit of the disc from a machine, where they are left out.
+        """Return these options with piezo stroke and disc limit of a machine, where the options give none.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class ChainOptions:
 
     @property
     def spike_guard_m(self) -> float | None:
-        """Limit of the spike guard [m], with ``"auto"`` as a number; None for no guard."""
+        """Limit of the spike guard [m], with ``"auto"`` replaced by a number; None without a guard."""
         if self.spike_limit_m != "auto":
             return self.spike_limit_m
         return None if self.disc_limit_m is None else self.disc_limit_m / 2.5
@@ -257,7 +257,7 @@ MOST_NODES = 9
 
 @dataclass(frozen=True, eq=False)
 class GridTable:
-    """Rows of numbers over a grid of pressure and speed; one row when nothing is scheduled.
+    """Rows of numbers over a grid of pressure and speed; a single row if the controller is not scheduled.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class GridTable:
 
     @property
     def is_scheduled(self) -> bool:
-        """Whether there is more than one row."""
+        """Whether the table has more than one row."""
         return len(self.rows) > 1
 
     @cached_property
@@ -284,7 +284,7 @@ class GridTable:
         return [[float(v) for v in row] for row in self.rows]
 
     def row(self, pressure_bar: float, speed_rpm: float) -> list[float]:
-        """Return the row at an operating point, by the operations of the C source in their order.
+        """Return the row at an operating point, computed with the operations of the C source in equal order.
 
         Parameters
         ----------
@@ -303,7 +303,7 @@ class GridTable:
 
 
 def inverse_widths(nodes: tuple[float, ...]) -> list[float]:
-    """Return one over the distance of each node from the next.
+    """Return the reciprocal of the distance between each node and the next node.
 
     Parameters
     ----------
@@ -314,14 +314,14 @@ def inverse_widths(nodes: tuple[float, ...]) -> list[float]:
 
 
 def _place(nodes: tuple[float, ...], value: float) -> tuple[int, float]:
-    """Return the node before a value within the nodes, and how far the value is on the way to the next."""
+    """Return the index of the grid node below a value, and the fraction of the interval up to the value."""
     value = min(max(value, nodes[0]), nodes[-1])
     i = sum(value >= node for node in nodes[1:-1])
     return i, (value - nodes[i]) * inverse_widths(nodes)[i]
 
 
 def table_of_points(rows: dict[tuple[float, float], FloatArray], what: str) -> GridTable:
-    """Return the table of rows that are known at the points of a full grid.
+    """Return a table from rows at the points of a full grid.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def table_of_points(rows: dict[tuple[float, float], FloatArray], what: str) -> G
 
 
 def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: lpv.Domain) -> GridTable:
-    """Return a table over a rectangle, with as many nodes as the interpolation needs.
+    """Return a table over a rectangle, with as many nodes as the interpolation error requires.
 
     Parameters
     ----------
@@ -403,7 +403,7 @@ Kind = Literal["x", "e", "d"]
 
 @dataclass(frozen=True)
 class SumTerm:
-    """Product in a sum of the controller: entry of the row times a state x, an input e or a cut-off d.
+    """Product in a sum of the controller: table entry times a state x, an input e or a saturation residual d.
 
     Attributes
     ----------
@@ -422,7 +422,7 @@ class SumTerm:
 
 @dataclass(frozen=True, eq=False)
 class Chain(Brief):
-    """Control chain, from `chain_of`.
+    """Control chain with its numbers, as `chain_of` returns it.
 
     Attributes
     ----------
@@ -464,23 +464,23 @@ class Chain(Brief):
 
     @property
     def n_orders(self) -> int:
-        """Number of harmonics, the missing orders between them included."""
+        """Number of harmonics up to the highest order, missing orders included."""
         n = len(self.input_names)
         return 0 if self.harmonics is None else (self.harmonics.rows.shape[1] - n) // (2 * n)
 
     @property
     def zero(self) -> tuple[float, ...]:
-        """What is subtracted from each input (n,)."""
+        """Zero point of each input (n,), which the chain subtracts."""
         return self.options.zero_m or (0.0,) * len(self.input_names)
 
     @property
     def limits(self) -> tuple[float, ...]:
-        """Limit of the magnitude of each output (m,)."""
+        """Largest allowed magnitude of each output (m,)."""
         return self.options.limits or (cast(float, self.options.limit_m),) * len(self.output_names)
 
     @property
     def spikes(self) -> tuple[float, ...] | None:
-        """Limit of the spike guard of each input (n,); None for no guard."""
+        """Limit of the spike guard for each input (n,); None without a guard."""
         if self.options.limits is not None:
             return self.options.spikes
         limit = self.options.spike_guard_m
@@ -488,14 +488,14 @@ class Chain(Brief):
 
     @property
     def watched(self) -> tuple[tuple[tuple[int, ...], float], ...]:
-        """Inputs that the watchdog takes together, as a radius, with their limit: the disc, or each input alone."""
+        """Groups of inputs whose radius the watchdog checks, with limits: the disc position, or each input alone."""
         if self.options.beyond is None:
             return ((tuple(range(len(self.input_names))), cast(float, self.options.disc_limit_m)),)
         return tuple(((i,), limit) for i, limit in enumerate(self.options.beyond))
 
     @property
     def commands(self) -> tuple[tuple[float, float, float], ...]:
-        """Value at rest, lower and upper limit of each command: of the stacks, or of the outputs themselves."""
+        """Value at rest, lower and upper limit of each command: of the stacks, or of the outputs."""
         if self.options.limits is None:
             stack = self.options.offset_m, 0.0, self.options.stroke_m
             return (cast(tuple[float, float, float], stack),) * len(STACKS)
@@ -504,27 +504,27 @@ class Chain(Brief):
 
     @property
     def command(self) -> str:
-        """Name of the commands in C."""
+        """Name of the commands in the C source."""
         return "stack" if self.options.limits is None else "command"
 
     @property
     def bins(self) -> RunoutMap | None:
-        """The map when it is a table over the angle."""
+        """Run-out map as a table over the shaft angle, if it has this form."""
         return next((each for each in self.maps if each.method == "bins"), None)
 
     @property
     def needs_angle(self) -> bool:
-        """Whether the shaft angle is used."""
+        """Whether the chain uses the shaft angle."""
         return any(each.needs_angle for each in self.maps)
 
     @property
     def is_scheduled(self) -> bool:
-        """Whether pressure and speed are used."""
+        """Whether the chain uses pressure and speed."""
         return self.controller.is_scheduled or (self.harmonics is not None and self.harmonics.is_scheduled)
 
     @property
     def allocation(self) -> tuple[tuple[float, ...], ...]:
-        """Factors of the outputs in the commands."""
+        """Matrix from the outputs to the commands."""
         return STACKS if self.options.limits is None else tuple(map(tuple, np.eye(len(self.limits)).tolist()))
 
     @property
@@ -539,7 +539,7 @@ class Chain(Brief):
 
     @property
     def forgetting(self) -> float:
-        """Share of its states that the controller forgets in a sample while its fade is near zero."""
+        """Share of its states that the controller discards per sample while the fade is near zero."""
         return min(1.0, FADE_FORGETS / self.fade_samples)
 
     @property
@@ -584,7 +584,7 @@ _NEARLY_ONE = 1.0 - 1e-9
 
 
 def anti_windup_gain(controller: LinearModel) -> FloatArray:
-    r"""Return the gain L by which the states follow a saturated output.
+    r"""Return the anti-windup gain L, by which the states follow a saturated output.
 
     .. math:: x_{k+1} = A x_k + B e_k + L (\mathrm{sat}(w_k) - w_k), \quad w_k = C x_k + D e_k
 
@@ -623,7 +623,7 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
 
 
 def _axis_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
-    """Return the anti-windup gain of channels that belong together."""
+    """Return the anti-windup gain for the coupled channels of one axis."""
     result, column = np.zeros((len(A), len(C))), B
     size = np.linalg.norm(D, axis=1)
     for k in range(len(A)):
@@ -726,7 +726,7 @@ def chain_of(
 def _controller_table(
     design: control.ControllerDesign,
 ) -> tuple[list[tuple[Point | None, LinearModel]], GridTable]:
-    """Return the sampled controllers at the nodes with their operating points, and the table of all their entries."""
+    """Return the sampled controllers at the grid nodes, the operating points of the nodes, and the table of entries."""
     models: dict[Point | None, LinearModel] = {}
 
     def row_at(*point: float) -> FloatArray:
@@ -745,7 +745,7 @@ def _controller_table(
 
 
 def _machine_of(design: control.ControllerDesign) -> lpv.MachineData:
-    """Return the numbers of the machine that the file of a design contains, else those of a model of gbid it names."""
+    """Return the machine data in the file of a design, completed from the gbid model that the design names."""
     given = {
         name: design.provenance[name] for name in lpv.MachineData.__dataclass_fields__ if name in design.provenance
     }
@@ -757,7 +757,7 @@ def _machine_of(design: control.ControllerDesign) -> lpv.MachineData:
 
 
 def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...], options: ChainOptions) -> None:
-    """Refuse limits that are missing, and options for another number of channels."""
+    """Refuse missing limits, and options for a different number of channels."""
     n, m = len(inputs), len(outputs)
     if options.limits is None and (n, m) != (2, 2):
         raise UsageError(
@@ -791,7 +791,7 @@ def _largest_pole(sampled: LinearModel) -> float:
 
 
 def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
-    """Refuse a controller that is unstable by itself, or that moves between its samples."""
+    """Refuse an unstable controller, and a controller with poles beyond half the sampling frequency."""
     where = "" if point is None else f" at {point_label(*point)}"
     worst = _largest_pole(sampled)
     if worst > _ON_THE_CIRCLE:
@@ -806,7 +806,7 @@ def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point 
 def _sums(
     pattern: FloatArray, n: int, n_in: int, n_out: int
 ) -> tuple[tuple[tuple[SumTerm, ...], ...], tuple[tuple[SumTerm, ...], ...]]:
-    """Return the sums of outputs and next states over the entries that are not zero, states first."""
+    """Return the sums for next states and outputs over the nonzero entries, states first."""
     place = np.cumsum(pattern) - 1
     at = 0
     sums: list[tuple[SumTerm, ...]] = []
@@ -824,7 +824,7 @@ def _sums(
 
 
 def _used_maps(maps: Sequence[RunoutMap], n_in: int) -> tuple[RunoutMap, ...]:
-    """Return the maps that the chain uses, after checks."""
+    """Return the run-out maps that the chain uses, after checks."""
     for each in maps:
         if len(each.channels) != n_in:
             raise UsageError(

@@ -1,4 +1,4 @@
-"""C source of a control chain from templates."""
+"""C source of a control chain from templates, compiled chain for software in the loop, and files for a target."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _FLOAT_COSINE = (0.04166662332373906, -0.001388676377460993, 2.439044879627741e-
 
 
 def render_source(template: str, chain: Chain, **further: Any) -> str:
-    """Return a file of the generated source.
+    """Return the text of a generated source file.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def render_source(template: str, chain: Chain, **further: Any) -> str:
 
 
 def _values(chain: Chain) -> dict[str, Any]:
-    """Return the values that all templates know."""
+    """Return the values that all templates need."""
     number = chain.options.number
     scheduled = [("controller", chain.controller), ("map", chain.harmonics)]
     harmonics_rows = [] if chain.harmonics is None else chain.harmonics.rows.tolist()
@@ -107,7 +107,7 @@ def _values(chain: Chain) -> dict[str, Any]:
 
 
 def _trigonometry(number: str) -> dict[str, Any]:
-    """Return the constants of cosine and sine and their polynomials as C expressions."""
+    """Return the constants and polynomials of cosine and sine as C expressions."""
     double = number == "double"
     parts = QUARTER if double else _FLOAT_QUARTER
     rest = "angle"
@@ -130,7 +130,7 @@ def _horner(coefficients: Sequence[float], number: str) -> str:
 
 
 def _bins(runout_map: RunoutMap) -> dict[str, Any]:
-    """Return the table over the angle, continued by a node at each end, with its slopes, as `numpy.interp` has them."""
+    """Return the table over the angle with one extra node at each end and its slopes, as `numpy.interp` has them."""
     angles = np.concatenate([runout_map.angles[-1:] - TURN, runout_map.angles, runout_map.angles[:1] + TURN])
     values: FloatArray = np.vstack([runout_map.table[-1:], runout_map.table, runout_map.table[:1]])
     slopes = np.diff(values, axis=0) / np.diff(angles)[:, None]
@@ -152,7 +152,7 @@ def _table_numbers(chain: Chain, bins: dict[str, Any] | None) -> int:
 
 
 def _state_bytes(chain: Chain) -> int:
-    """Return the size of the state struct: numbers first, then 32-bit integers, filled up to whole numbers."""
+    """Return the size of the state struct [bytes]: numbers, then 32-bit integers, padded to whole numbers."""
     size = _BYTES[chain.options.number]
     n = len(chain.input_names)
     numbers = max(len(chain.states), 1) + 6 * n + 3
@@ -166,7 +166,7 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 
 
 class CompiledChain:
-    """Control chain that runs as compiled C; a `gbid.export.PythonChain` with the same methods.
+    """Control chain as compiled C, with the methods of `gbid.export.PythonChain`.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ class CompiledChain:
         self.start()
 
     def start(self) -> None:
-        """Reset to rest."""
+        """Reset the chain to rest."""
         self._library.chain_start(self._state)
 
     def run(self, inputs: Sequence[ChainInput]) -> list[ChainOutput]:
@@ -307,7 +307,7 @@ def write_chain(chain: Chain, folder: str | Path, *, overwrite: bool = False) ->
 
 
 def _conditions(chain: Chain) -> str:
-    """Return the operating points of the maps in words."""
+    """Return the operating points of the maps as text."""
     points = [each.conditions for each in chain.maps]
     words = [
         ", ".join(f"{c[key]:g} {unit}" for key, unit in (("pressure_bar", "bar"), ("speed_rpm", "rpm")) if key in c)

@@ -1,4 +1,4 @@
-"""Control chain in Python, sample by sample: the reference for the generated source, to the last bit in double."""
+"""Control chain in Python, sample by sample: bit-exact reference (double) for the generated source, and self-test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LONGEST_SPIKE = 3
 
 
 class ChainMode(IntEnum):
-    """What the operator asks for."""
+    """Mode that the operator requests."""
 
     OFF = 0
     OFFSET = 1
@@ -34,7 +34,7 @@ class ChainMode(IntEnum):
 
 
 class ChainFault(IntFlag):
-    """What made the watchdog fade the control out."""
+    """Reason why the watchdog faded the control out."""
 
     NONE = 0
     SIGNAL = 1
@@ -130,7 +130,7 @@ class PythonChain:
         self.start()
 
     def start(self) -> None:
-        """Reset to rest."""
+        """Reset the chain to rest."""
         chain = self._chain
         first = chain.maps[0] if chain.maps else None
         self._prefilter = OnlinePrefilter(first, offset=np.array(chain.zero), median=chain.options.median)
@@ -184,7 +184,7 @@ class PythonChain:
         return ChainOutput(tuple(stacks), tuple(r), tuple(state.deviation), state.fault, not good, saturated)
 
     def _follow_point(self, given: ChainInput) -> None:
-        """Move the operating point of the schedules towards the measured one, as fast as they may follow."""
+        """Move the operating point of the schedules towards the measured point, with limited rate."""
         state, chain = self._state, self._chain
         measured = (given.pressure_bar, given.speed_rpm)
         for i, (value, (low, high), step) in enumerate(
@@ -258,7 +258,7 @@ class PythonChain:
             state.fault |= ChainFault.POSITION
 
     def _levels(self, mode: ChainMode) -> int:
-        """Advance ramp and fade; return the level of the fade."""
+        """Advance the ramp and the fade by one sample; return the level of the fade."""
         state, chain = self._state, self._chain
         stays = chain.options.on_fault == "control" or state.fault == ChainFault.NONE
         wanted = mode == ChainMode.CONTROL and stays
@@ -273,7 +273,7 @@ class PythonChain:
 
 
 def within_turn(angle: float) -> float:
-    """Return a shaft angle within one turn [rad], by the operations of the C source."""
+    """Return a shaft angle wrapped to one turn [rad], with the operations of the C source."""
     if 0.0 <= angle < TURN:
         return angle
     whole = float(floor(angle * (1 / TURN)))
@@ -281,7 +281,7 @@ def within_turn(angle: float) -> float:
 
 
 def _sum(terms: Sequence[SumTerm], row: Sequence[float], kinds: dict[str, list[float]]) -> float:
-    """Return a sum of products, added one by one in their order."""
+    """Return a sum of products, added one by one in the order of the C source."""
     if not terms:
         return 0.0
     total = row[terms[0].entry] * kinds[terms[0].kind][terms[0].index]
@@ -300,7 +300,7 @@ _TURN_IN = 40
 
 @dataclass(frozen=True)
 class SelfTestRow:
-    """Input that is repeated, and the output after the last repetition.
+    """Row of the self-test: an input that is repeated, and the output after the last repetition.
 
     Attributes
     ----------
@@ -401,7 +401,7 @@ def _drives(chain: Chain, random: np.random.Generator) -> list[_Drive]:
 
 
 def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> ChainOutput:
-    """Return the output after the repetitions of a row, by the operations of the C self-test."""
+    """Return the output after the repetitions of a row, with the operations of the C self-test."""
     *inputs, angle, turn, pressure, speed, dither = given
     for k in range(drive.repeat):
         shift = dither if k % 2 else -dither

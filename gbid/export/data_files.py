@@ -1,4 +1,4 @@
-"""Recordings and frequency responses as files of other programs: Parquet, MDF and universal files."""
+"""Recordings and frequency responses as Parquet, MDF and universal files for other programs."""
 
 from __future__ import annotations
 

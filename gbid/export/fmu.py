@@ -92,7 +92,7 @@ class UnitPlant:
 
     @property
     def parameters(self) -> ca.Function:
-        """Function of the scheduling variables to `key` and the delays (n_inputs,) [s]."""
+        """Function from the scheduling variables to `key` and the delays (n_inputs,) [s]."""
         point = ca.SX.sym("point", 0 if self.model is None else len(self.model.scheduling))
         theta = ca.SX(0, 1)
         if self.model is not None:
@@ -103,7 +103,7 @@ class UnitPlant:
 
     @property
     def motion(self) -> tuple[ca.Function, ca.Function]:
-        """Functions of (x, u, delayed u, `key`) to the derivative of x, and of (x, u) to y."""
+        """Two functions: (x, u, delayed u, `key`) to the derivative of x, and (x, u) to y."""
         letters: Any = [getattr(self.matrices, name) for name in ("A", "B", "B_delayed", "C", "D")]
         key: Any = self.key
         kind: Any = ca.SX
@@ -119,7 +119,7 @@ class UnitPlant:
 
     @property
     def fastest(self) -> float:
-        """Upper bound of the magnitudes of the poles, from a grid over the domain [1/s]."""
+        """Largest magnitude of the poles on a grid over the domain [1/s]."""
         A, parameters = ca.Function("A", [self.key], [ca.densify(self.matrices.A)]), self.parameters
         bounds = () if self.model is None else self.model.domain.bounds
         points = product(*(np.linspace(*bound, _GRID) for bound in bounds))
@@ -128,7 +128,7 @@ class UnitPlant:
 
 
 def unit_plant(model: LPVModel | LinearModel | FitResult, delay: Delay, pade_order: int | None) -> UnitPlant:
-    """Return the plant of a unit.
+    """Return the plant of a co-simulation unit from a model.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def unit_plant(model: LPVModel | LinearModel | FitResult, delay: Delay, pade_ord
 
 
 def _equations(model: LPVModel | LinearModel, pade_order: int | None) -> Structure:
-    """Return the structure of a model: of a gas bearing with its actuators, of a linear model without parameters."""
+    """Return the equations of a model: of a gas bearing with actuators, or of a linear model without parameters."""
     if isinstance(model, LinearModel):
         given = {letter: getattr(model, letter) for letter in ("A", "B", "C", "D", "B_delayed", "delay")}
         numbers = {letter: ca.DM(np.array(value)) for letter, value in given.items() if value is not None}
@@ -183,7 +183,7 @@ def _equations(model: LPVModel | LinearModel, pade_order: int | None) -> Structu
 
 
 def _bearing_unit(model: LPVModel, key: ca.SX, m: Matrices) -> UnitPlant:
-    """Return the plant of a gas bearing with forces per mass, which act on the velocities, as further inputs."""
+    """Return the plant of a gas bearing with forces per mass on the rotor as further inputs."""
     entry = ca.SX(m.A.shape[0], 2)
     selected = np.array(ca.DM(m.C))
     for axis in range(2):
@@ -232,7 +232,7 @@ class UnitController:
 
 
 def _controller_step(design: ControllerDesign) -> ca.Function:
-    """Return one sample of the controller, with the gains of the present pressure and speed where it is scheduled."""
+    """Return the function of one controller sample, with gains at the present pressure and speed if scheduled."""
     point = ca.SX.sym("point", 2 if isinstance(design.structure, Scheduled) else 0)
     if isinstance(design.structure, Scheduled):
         A, B, C, D = _tustin(design, design.structure, ca.vertsplit(point))
@@ -247,7 +247,7 @@ def _controller_step(design: ControllerDesign) -> ca.Function:
 
 
 def _scheduled_gain(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) -> ca.SX:
-    """Return the anti-windup gain, column by column, interpolated over the points of the schedule as in the chain."""
+    """Return the anti-windup gain, interpolated over the points of the schedule as in the control chain."""
     table = table_over_domain(lambda *at: anti_windup_gain(design.sampled_at(*at)).T.ravel(), structure.domain)
     weight = ca.SX(1)
     for nodes, value in zip((table.pressure_bar, table.speed_rpm), point, strict=True) if table.is_scheduled else ():
@@ -258,7 +258,7 @@ def _scheduled_gain(design: ControllerDesign, structure: Scheduled, point: list[
 
 
 def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return the matrices of a scheduled controller, discretised by the trapezoidal rule, symbolic in the point."""
+    """Return the matrices of a scheduled controller by the trapezoidal rule, symbolic in pressure and speed."""
     if design.method != "tustin":
         raise UsageError(
             f"controller {design.name!r}: a unit discretises scheduled gains by 'tustin', not by {design.method!r}; "
@@ -291,7 +291,7 @@ _UNITS: dict[str, dict[str, str]] = {
 
 
 def unit_variables(plant: UnitPlant, domain: Domain | None, controller: UnitController | None) -> list[UnitVariable]:
-    """Return the variables in the order of their value references, the Boolean last.
+    """Return the variables of a unit in the order of their value references; the Boolean is last.
 
     Raises
     ------
@@ -528,7 +528,7 @@ def _unit_controller(
     limits: float | Sequence[float] | None,
     computation_s: float | None,
 ) -> UnitController:
-    """Return the controller of a loop, connected to the channels of the plant."""
+    """Return the controller of a unit, connected to the channels of the plant."""
     schedule = design.structure.domain.bounds if isinstance(design.structure, Scheduled) else ()
     law = design.at(*(low for low, _ in schedule))
     places = []
@@ -562,7 +562,7 @@ def _unit_controller(
 
 
 def _domain(path: Path, plant: UnitPlant, controller: ControllerDesign | None) -> Domain | None:
-    """Return the range of the scheduling variables in which both the plant and a scheduled controller hold."""
+    """Return the range of pressure and speed in which plant and scheduled controller are valid."""
     domain = None if plant.model is None else plant.model.domain
     if controller is None or not isinstance(controller.structure, Scheduled):
         return domain
@@ -586,7 +586,7 @@ def _domain(path: Path, plant: UnitPlant, controller: ControllerDesign | None) -
 
 
 def _sources(plant: UnitPlant, variables: list[UnitVariable], controller: UnitController | None) -> dict[str, str]:
-    """Return the C files by name; the GUID is still to be written into them."""
+    """Return the C files by name, with a placeholder for the GUID."""
     reals = [variable for variable in variables if not isinstance(variable.start, bool)]
     inputs = [variable for variable in variables if variable.causality == "input"]
     schedule = inputs[: len(inputs) - len(plant.inputs)]
@@ -621,7 +621,7 @@ def _sources(plant: UnitPlant, variables: list[UnitVariable], controller: UnitCo
 
 
 def _library(path: Path, sources: dict[str, str]) -> bytes:
-    """Return the compiled library."""
+    """Return the bytes of the compiled library."""
     with scratch_folder(path) as folder:
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")

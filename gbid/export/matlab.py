@@ -71,7 +71,7 @@ def save_mat(
 
 
 def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return the variables of the mat file of a model or fit; missing matrices are empty."""
+    """Return the variables of the mat file of a model or fit; missing matrices are stored as empty."""
     model = what.linear_model if isinstance(what, FitResult) else what
     channels, in_metres = (*model.input_names, *model.output_names), getattr(what, "structure", "") in IN_METRES
     known = {name: "m" for name in channels if in_metres} | dict(units or {})

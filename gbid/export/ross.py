@@ -1,4 +1,4 @@
-"""Identified stiffness and damping of a bearing as a bearing element of ROSS."""
+"""Exchange with ROSS: identified bearings as bearing elements, and finite-element rotors as structures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from gbid.structure.parameter import set_fields
 
 
 def ross_package(what: str) -> Any:
-    """Return the package `ross`.
+    """Return the package `ross`, imported without its messages; an error names the missing package.
 
     Its dependencies print on their import that fluid libraries are not installed, which no rotor needs.
 
@@ -57,7 +57,7 @@ def ross_package(what: str) -> Any:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Send what the process prints nowhere: compiled libraries print past `sys.stdout`."""
+    """Discard all output of the process: compiled libraries print past `sys.stdout`."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = [os.dup(1), os.dup(2)]
@@ -87,7 +87,7 @@ def bearing_element(
     speed_rpm: npt.ArrayLike | None = None,
     tag: str | None = None,
 ) -> Any:
-    r"""Return the identified bearing as a bearing element of ROSS, over speed where the model has surfaces.
+    r"""Return the identified bearing as a bearing element of ROSS, over the speed if the model has surfaces.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ Place = tuple[int | str, str | float]
 
 @dataclass(frozen=True, eq=False)
 class UnknownBearing:
-    """A bearing whose coefficients are to be identified.
+    """Bearing of a ROSS rotor whose coefficients are to be identified.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class LateralMatrices:
     n_per_node: int
 
     def entry(self, what: str, place: Any) -> FloatArray:
-        """Return the direction of a sensor or actuator in the degrees of freedom, shape (n,).
+        """Return the direction of a sensor or actuator as a vector over the degrees of freedom, shape (n,).
 
         Raises
         ------
@@ -234,7 +234,7 @@ class LateralMatrices:
         return direction
 
     def magnetic(self, what: str, tag: str) -> UnknownBearing:
-        """Return the magnetic bearing of a tag.
+        """Return the magnetic bearing with a given tag.
 
         Raises
         ------
@@ -248,7 +248,7 @@ class LateralMatrices:
         return magnetic[tag]
 
     def state_matrix(self, shapes: FloatArray | None = None) -> FloatArray:
-        """Return the matrix of the positions and velocities, with all bearings at their start values.
+        """Return the system matrix of positions and velocities, with all bearings at their start values.
 
         Parameters
         ----------
@@ -322,7 +322,7 @@ def lateral_matrices(
 
 
 def _magnetic_coefficients(element: Any) -> tuple[float, float] | None:
-    """Return stiffness [N/m], negative, and force per current [N/A] of a magnetic bearing; None of another one."""
+    """Return the (negative) stiffness [N/m] and force per current [N/A] of a magnetic bearing; else None."""
     if not (hasattr(element, "ks") and hasattr(element, "ki")):
         return None
     pairs = [np.unique(np.asarray(value, float)) for value in (element.ks, element.ki)]
@@ -332,7 +332,7 @@ def _magnetic_coefficients(element: Any) -> tuple[float, float] | None:
 
 
 def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None) -> dict[str, Any]:
-    """Return the unknown bearing elements by the names of their parameters."""
+    """Return the unknown bearing elements, keyed by the ending of their parameter names."""
     elements = list(rotor.bearing_elements)
     if not elements:
         raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
@@ -366,7 +366,7 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
 
 
 def _as_name(tag: Any) -> Any:
-    """Return a tag as the end of names of parameters: ROSS's own "Bearing 0" becomes "Bearing_0"."""
+    """Return a ROSS tag as the ending of parameter names: "Bearing 0" becomes "Bearing_0"."""
     return re.sub(r"\W", "_", tag) if isinstance(tag, str) else tag
 
 
@@ -384,7 +384,7 @@ _DEPENDENT = 1e-10  # of the largest; below it a shape is a sum of the others
 
 
 def modal_basis(equations: LateralMatrices, modes: int, loads: FloatArray) -> FloatArray:
-    r"""Return shapes that describe the motion of a rotor for any coefficients of its unknown bearings.
+    r"""Return shapes that span the motion of a rotor for any coefficients of its unknown bearings.
 
     Parameters
     ----------
@@ -440,7 +440,7 @@ def _size(equations: LateralMatrices, shapes: FloatArray) -> FloatArray:
 
 
 def _support(stiffness: FloatArray, shaft: FloatArray) -> float:
-    """Return the stiffness of the support of a bearing in the basis: of its start values where they hold a rotor."""
+    """Return the support stiffness for the modal basis: a bearing's start value if positive, else a soft spring."""
     direct = float(np.mean(np.diag(stiffness)))
     return direct if direct > 0 else 1e-3 * float(np.diag(shaft).max())
 
@@ -455,7 +455,7 @@ _SPLIT = 1e-3
 
 @dataclass(frozen=True)
 class ReducedMode:
-    """A mode of the reduced rotor beside that of the whole one, with the bearings at their start values.
+    """Mode of the reduced rotor beside the mode of the full rotor, with the bearings at their start values.
 
     Attributes
     ----------
@@ -478,7 +478,7 @@ class ReducedMode:
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class RotorStructure(LinearStructure):
-    """A finite-element rotor of ROSS as a structure, with what its reduction costs.
+    """Finite-element rotor of ROSS as a structure, with the error of its modal reduction.
 
     Attributes
     ----------
@@ -506,7 +506,7 @@ class RotorStructure(LinearStructure):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the reduction, in sentences."""
+        """Sentences about the modal reduction."""
         off = [mode for mode in self.reduction if abs(mode.error) > _REDUCED_WELL]
         if not off:
             return ()
@@ -520,7 +520,7 @@ class RotorStructure(LinearStructure):
 
 
 def _reduction(equations: LateralMatrices, shapes: FloatArray, modes: int) -> tuple[ReducedMode, ...]:
-    """Return the lowest oscillating modes of the whole rotor and the nearest of the reduced one."""
+    """Return the lowest oscillatory modes of the full rotor and the nearest modes of the reduced rotor."""
     whole, reduced = (_oscillating(equations.state_matrix(basis)) for basis in (None, shapes))
     whole = whole[:modes]
     rows, columns = scipy.optimize.linear_sum_assignment(np.abs(whole[:, None] - reduced) / np.abs(whole)[:, None])
@@ -647,7 +647,7 @@ def _matrices(
     driven: FloatArray,
     currents: Sequence[str | None],
 ) -> Any:
-    """Return the function of the matrices, with everything but the coefficients computed.
+    """Return the function from the bearing coefficients to the state-space matrices.
 
     `currents` are the names of the magnetic bearings that the actuators drive; None for forces.
     """

@@ -1,4 +1,4 @@
-"""Export of models as csv tables."""
+"""Export of models as CSV tables and as plain YAML."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def save_csv(
     frequency_hz: npt.ArrayLike | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write a model as a csv table, and return the path of the file.
+    """Write a model as a CSV table, and return the path of the file.
 
     The first line has the headings. Numbers have all digits and a decimal point; the separator is a comma. The table
     of a `LinearModel` has its matrices, one entry per line with the names of its row and column. The table of a

@@ -25,7 +25,7 @@ _N_FREQUENCIES = 400
 
 @dataclass(frozen=True, eq=False)
 class ExportItem:
-    """One thing that can be exported.
+    """Model, controller or recording that can be exported, with its name.
 
     Attributes
     ----------
@@ -46,13 +46,13 @@ class ExportItem:
 
     @property
     def kind(self) -> str:
-        """Type of the value."""
+        """Name of the type of the value."""
         return type(self.what).__name__
 
 
 @dataclass(frozen=True, eq=False)
 class ExportRequest:
-    """What the user asked for.
+    """Request of the user: source, chosen items, folder and options of the target.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportTarget:
-    """A program or language that models and controllers are exported to.
+    """Program or language to which models and controllers are exported.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class ExportTarget:
 
 
 def export_target(name: str) -> ExportTarget:
-    """Target of a name: one of gbid, else one that another package offers.
+    """Return the target of a name: a target of gbid, or one that an installed package offers.
 
     A package offers a target by an entry point of the group ``gbid.targets``, whose value is an `ExportTarget`.
 
@@ -118,7 +118,7 @@ def export_target(name: str) -> ExportTarget:
 
 
 def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write the chain of a controller as C source, from the sensors to the piezo stacks; see `gbid.export.write_chain`.
+    """Write the control chain of a controller as C source; see `gbid.export.write_chain`.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def _maps_at(maps: tuple[RunoutMap, ...], at: Point) -> tuple[RunoutMap, ...]:
 
 
 def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write csv tables of matrices, parameters, coefficients and frequency responses.
+    """Write CSV tables of matrices, parameters, coefficients and frequency responses.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
 
 
 def write_models(item: ExportItem, request: ExportRequest, ending: str) -> list[Path]:
-    """Write mat files, or plain YAML.
+    """Write models as mat files or as plain YAML.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def write_models(item: ExportItem, request: ExportRequest, ending: str) -> list[
 
 
 def _models(item: ExportItem, request: ExportRequest) -> dict[str, Any]:
-    """Models of an item by name; of a controller the sampled ones, at the chosen point or at all of its file."""
+    """Return the models of an item by name; for a controller sampled models, at the chosen or at all stored points."""
     design = item.what
     if item.kind != "ControllerDesign":
         return {item.name: item.what}
@@ -241,7 +241,7 @@ def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
 
 
 def _plants_of(design: ControllerDesign, request: ExportRequest) -> dict[str, Any]:
-    """Models by name for which a controller was designed: of those beside it, or one that comes with gbid."""
+    """Return the models for which a controller was designed, by name: from the request, or a model of gbid."""
     from gbid.lpv.model_file import load_model
 
     plants = [item for item in request.beside if item.kind != "ControllerDesign"]
@@ -288,7 +288,7 @@ def write_elements(item: ExportItem, request: ExportRequest) -> list[Path]:
 
 
 def write_data(item: ExportItem, request: ExportRequest, ending: str) -> list[Path]:
-    """Write a recording as a file of another program; see `gbid.export.save_data`.
+    """Write a recording as a file for another program; see `gbid.export.save_data`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Further effects of the rig: forces on the rotor, and deviations of the sensors.
+"""Further effects of the rig: forces on the rotor, and errors of the sensors.
 
 An effect is a subclass of `gbid.rig.machine.RigEffect` in this file. The default of its field `name` is the name in the
 YAML, its other fields are the keys there. Nothing else has to know it.
@@ -59,7 +59,7 @@ def rig_effect(name: str, **options: Any) -> RigEffect:
 
 @dataclass(frozen=True)
 class FloorVibration(RigEffect):
-    """Sinusoidal acceleration of the frame in one direction, as a motor nearby makes it; its phase is random.
+    """Sinusoidal acceleration of the frame in one direction, for example by a nearby motor; its phase is random.
 
     The motion of the disc is measured relative to the frame. So an acceleration of the frame acts like the opposite
     force per moving mass.
@@ -93,7 +93,7 @@ class FloorVibration(RigEffect):
 
 @dataclass(frozen=True)
 class MainsHum(RigEffect):
-    """Sine in the readings of both probes, as a ground loop makes it; its phase differs from recording to recording.
+    """Sine at the mains frequency in the readings of both probes, as by a ground loop; the phase is random.
 
     Parameters
     ----------

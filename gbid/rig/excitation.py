@@ -1,4 +1,4 @@
-"""Runs of the rig: stationary, PRBS, given signal, hammer, run-up, course of pressure and speed, staircases."""
+"""Runs of the rig: stationary, PRBS, given signal, hammer, run-up, changing pressure and speed, staircases."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class AtRest:
 
 @dataclass(frozen=True)
 class Hammer(AtRest):
-    """Hammer test: impacts on the rotor, with the excitation of the piezos at zero.
+    """Hammer test: impacts on the rotor while the references of the piezos are zero.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Hammer(AtRest):
 
 
 def whole_samples(what: str, seconds: float, sample_time: float) -> int:
-    """Return the number of samples in a time, which must be a whole number of at least one.
+    """Return a time as a number of samples; refuse less than one sample and fractions of a sample.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def whole_samples(what: str, seconds: float, sample_time: float) -> int:
 
 @dataclass(frozen=True)
 class Stationary(AtRest):
-    """Recording without excitation, used to map run-out and unbalance over the shaft angle (Sec. 3.5).
+    """Recording without excitation, for maps of run-out and unbalance over the shaft angle (paper, Sec. 3.5).
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class Stationary(AtRest):
 
 @dataclass(frozen=True)
 class Prbs:
-    """Pseudo-random binary sequences as references, independent in x and y (Sec. 3.4).
+    """Pseudo-random binary sequences as references, independent in x and y (paper, Sec. 3.4).
 
     At fixed instants each reference takes one of two levels. Both levels are equally likely. The choice does not
     depend on earlier levels or on the other axis.
@@ -347,7 +347,7 @@ class Turning:
 
     @property
     def speed(self) -> float:
-        """Speed up to the first sample [rad/s]."""
+        """Speed before the first sample [rad/s]."""
         return self.speeds[0]
 
     def angle(self, time: FloatArray) -> FloatArray:
@@ -367,7 +367,7 @@ class Turning:
         return self._pieces(time)[1]
 
     def _pieces(self, time: FloatArray) -> tuple[np.ndarray, FloatArray]:
-        """Return the last given time before each time, as an index, and the acceleration there."""
+        """Return for each time the index of the last breakpoint before it, and the acceleration from there on."""
         piece = np.maximum(np.searchsorted(self.times, time, side="left") - 1, 0)
         slopes = np.append(np.diff(self.speeds) / np.diff(self.times), 0.0)
         return piece, np.where(np.asarray(time) > self.times[0], slopes[piece], 0.0)
@@ -380,7 +380,7 @@ _PARTS = 64  # straight pieces of a coast-down
 
 @dataclass(frozen=True)
 class Course:
-    """Course of pressure and speed over time: straight between given times, constant before and after.
+    """Pressure and speed over time: linear between breakpoints, constant before and after.
 
     Parameters
     ----------
@@ -418,7 +418,7 @@ class Course:
     def ramp(
         cls, duration_s: float, pressure_bar: tuple[float, float] | float, speed_rpm: tuple[float, float] | float
     ) -> Course:
-        """Return a straight change of pressure and speed.
+        """Return a linear change of pressure and speed.
 
         Parameters
         ----------
@@ -431,7 +431,7 @@ class Course:
 
     @classmethod
     def coast_down(cls, duration_s: float, pressure_bar: float, from_rpm: float, to_rpm: float) -> Course:
-        """Return the fall of the speed against a torque of viscous friction, exponential in time.
+        """Return an exponential decrease of the speed, as by viscous friction.
 
         Parameters
         ----------
@@ -450,7 +450,7 @@ class Course:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last of the given times [s]."""
+        """Time from the first to the last breakpoint [s]."""
         return self.times_s[-1]
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -460,7 +460,7 @@ class Course:
 
 @dataclass(frozen=True)
 class ScheduledRun:
-    """Recording along a course of pressure and speed; rotor and bearing follow the surfaces of the machine.
+    """Recording with changing pressure and speed; rotor and bearing follow the surfaces of the machine.
 
     Parameters
     ----------
@@ -524,7 +524,7 @@ class Staircase:
 
     @property
     def levels(self) -> FloatArray:
-        """Levels in the order of time [m], shape (4 n + 1,)."""
+        """Levels in time order [m], shape (4 n + 1,)."""
         return up_and_down(-self.steps * self.step_m, self.step_m, 2 * self.steps)
 
     @property
@@ -535,7 +535,7 @@ class Staircase:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Return the references r, shape (n_samples, 2) [m]; the first level holds before the logger starts."""
+        """Return the references r, shape (n_samples, 2) [m]; the first level also holds before the recording."""
         del random
         r = np.zeros((n_samples, 2))
         r[:, "xy".index(self.axis)] = held_levels(self.levels, self.hold_s, sample_time, n_samples, n_settle)
@@ -544,7 +544,7 @@ class Staircase:
 
 @dataclass(frozen=True)
 class StackStaircase(AtRest):
-    """Staircase of one stack over its whole range and back, with the other stacks at r_0 (Figs. A.28 and A.29).
+    """Staircase of one stack over its whole range and back, with all other stacks at r_0 (Figs. A.28 and A.29).
 
     In open loop the voltage of the stack goes from zero to its limit. With the PD controller on, its reference goes
     from zero to its stroke. The machine must have `PiezoStacks`. The recording has the signals v, y_p and r_p.

@@ -1,4 +1,4 @@
-r"""Gas film of a controllable bearing by the Reynolds equation: rates in C, equilibrium, linearisation.
+r"""Gas film of a controllable bearing by the Reynolds equation: rates in C, equilibrium, linearisation, modes.
 
 The film is not of the structure that gbid fits. Its state is the gas in each cell of the unrolled half of the bearing:
 
@@ -96,7 +96,7 @@ class GasFilm:
 
     @property
     def steps(self) -> tuple[float, float]:
-        """Distance of the cells around and along the bearing [m]."""
+        """Grid spacing around and along the bearing [m]."""
         return np.pi * self.diameter_m / self.around, self.length_m / 2 / self.along
 
 
@@ -124,7 +124,7 @@ class FilmPoint:
 
     @property
     def steps(self) -> tuple[float, float]:
-        """Distance of the cells around and along the bearing [m]."""
+        """Grid spacing around and along the bearing [m]."""
         return self.film.steps
 
     def arrays(self, centre: FloatArray, rest: FloatArray) -> tuple[np.ndarray, FloatArray]:
@@ -160,7 +160,7 @@ class FilmPoint:
         return np.asarray(integers, ctypes.c_long), np.concatenate([numbers, *tables])
 
     def rates(self, state: FloatArray, stacks: FloatArray, force: FloatArray) -> FloatArray:
-        """Return the rates of position, velocity and gas for a journal at absolute positions.
+        """Return the time derivatives of position, velocity and gas for a journal at absolute positions.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class FilmPoint:
         return rotor_modes(film_poles(self))
 
     def at_frequency(self, frequency_hz: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return K, D, B per mass and the delays that have the response of the film at one frequency.
+        """Return K, D, B per mass and delays that reproduce the response of the film at one frequency.
 
         No parameters of Eq. 5 have the response of a film at all frequencies.
 
@@ -218,7 +218,7 @@ class FilmPoint:
 
 @lru_cache(maxsize=64)
 def mouths(film: GasFilm) -> tuple[np.ndarray, FloatArray]:
-    r"""Return the cells that the injectors feed, and the part of the flow of each.
+    r"""Return the cells fed by each injector, with the share of its flow in each cell.
 
     Pressure around a source rises with the logarithm of its size, so one cell of 2.6 mm fed alone is not a mouth of
     2 mm. The flow is spread over the cells of a disc whose radius gives the mean pressure over the fed cells,
@@ -286,7 +286,7 @@ def _absolute(point: FilmPoint) -> tuple[np.ndarray, FloatArray]:
 
 @lru_cache(maxsize=64)
 def equilibrium(point: FilmPoint) -> FloatArray:
-    """Return the state of rest under the weight, by Newton's method, read-only; see `FilmPoint.rates`.
+    """Return the read-only equilibrium under the weight, by Newton's method; see `FilmPoint.rates`.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def equilibrium(point: FilmPoint) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def linearised(point: FilmPoint) -> tuple[FloatArray, FloatArray]:
-    """Return A, (n, n), and B of u, (n, 2), of small motions about the equilibrium, by central differences."""
+    """Return A (n, n) and B of u (n, 2) of small motions about the equilibrium, by central differences."""
     state, free, size = equilibrium(point), np.zeros(2), 1e-8
     pairs = size / 2 * np.array([[0.0, 1.0, 0.0, -1.0], [1.0, 0.0, -1.0, 0.0]])  # of u_x and u_y (Eq. 2)
     B = [(point.rates(state, y, free) - point.rates(state, -y, free)) / (2 * size) for y in pairs]
@@ -321,7 +321,7 @@ def linearised(point: FilmPoint) -> tuple[FloatArray, FloatArray]:
 
 
 def _scale(point: FilmPoint) -> FloatArray:
-    """Return the size of each state: the clearance, a velocity, and the gas of the cells at twice the ambient."""
+    """Return the scale of each state: the clearance, a velocity, and the gas of a cell at twice the ambient."""
     integers, numbers = _absolute(point)
     pocket = numbers[N_NUMBERS + 4 * integers[0] :][: integers[0] * integers[1]]
     return np.concatenate(

@@ -1,4 +1,4 @@
-"""Machine of the virtual rig by its true parameters, its effects beyond Eq. 5, and the scatter of recordings."""
+"""Machine of the virtual rig: true parameters, effects beyond Eq. 5, and scatter between recordings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gbid.rig.sensors import SensorChain
 
 @dataclass(frozen=True)
 class FlexibleMode:
-    r"""Bending mode of the shaft that the model of Eq. 5 does not have, equal in x and y.
+    r"""Bending mode of the shaft, which the model of Eq. 5 does not have; equal in x and y.
 
     .. math:: \ddot \eta + 2 \zeta \omega \dot\eta + \omega^2 \eta = m\, a, \qquad p = q + \eta
 
@@ -160,7 +160,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class RigRun(Brief):
-    """Times, angle, speed and operating point of a run, at n + 1 samples from the start of the settling time.
+    """Times, shaft angle, speed and operating point of a run, at n + 1 samples from the start of the settling time.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class RigRun(Brief):
 
 @dataclass(frozen=True)
 class RigEffect:
-    """Base of the effects in ``gbid/rig/effects.py``; a subclass overrides one of its methods or several.
+    """Base of the effects in ``gbid/rig/effects.py``; a subclass overrides one or several of its methods.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ class RotorBearingTruth(Brief):
     @classmethod
     @lru_cache(maxsize=64)
     def of_film(cls, point: FilmPoint) -> RotorBearingTruth:
-        """Return the rotor and bearing with the response of a gas film at the mean frequency of its two modes.
+        """Return the rotor and bearing with the response of a gas film at the mean frequency of the rotor's two modes.
 
         Parameters
         ----------
@@ -450,7 +450,7 @@ class Machine(Brief):
             self.film.check_stable()
 
     def beyond_closed_form(self) -> list[str]:
-        """Return the names of the parts that have no solution in closed form and need time stepping."""
+        """Return the names of the parts without closed-form solution, which need time stepping."""
         parts = {
             "gas film": self.film is not None,
             "piezo stacks": isinstance(self.actuator, PiezoStacks),

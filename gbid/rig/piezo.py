@@ -91,24 +91,24 @@ class PiezoStack:
 
     @property
     def thresholds(self) -> FloatArray:
-        """Threshold of each play, the voltage by which it lags, shape (N_PLAYS,) [V]."""
+        """Threshold of each play operator (N_PLAYS,) [V]: the voltage by which its output lags."""
         return np.asarray((np.arange(N_PLAYS) + 0.5) * (self.voltage_limit / N_PLAYS), np.float64)
 
     @property
     def play_weight(self) -> float:
-        """Expansion per volt of each play [m/V], chosen so that the branches differ by `hysteresis` in the middle."""
+        """Expansion per volt of each play operator [m/V], chosen so that mid-range branches differ by `hysteresis`."""
         rho = self.thresholds
         return self.hysteresis / float(np.minimum(rho, self.voltage_limit - rho).sum())
 
     @property
     def spring(self) -> float:
-        """Expansion per volt without lag [m/V], chosen so that the whole voltage range gives the stroke."""
+        """Expansion per volt without hysteresis [m/V], chosen so that the full voltage range gives the stroke."""
         return self.stroke / self.voltage_limit - self.play_weight * float(
             (1.0 - self.thresholds / self.voltage_limit).sum()
         )
 
     def expansion(self, voltage: float, plays: FloatArray) -> float:
-        """Return the fast expansion H for given states of the plays [m].
+        """Return the fast expansion H for given states of the play operators [m].
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class PiezoStack:
 
 @dataclass(frozen=True, eq=False)
 class StackRest:
-    """State of rest of a stack: voltage [V], position [m], plays (N_PLAYS,) [V] and fast expansion H [m]."""
+    """State of rest of a stack: voltage [V], position [m], play operators (N_PLAYS,) [V], fast expansion H [m]."""
 
     voltage: float
     position: float
@@ -171,7 +171,7 @@ def _published_tables() -> tuple[tuple[dict[str, float], ...], dict[str, float]]
 
 
 def _published_stack(number: int) -> PiezoStack:
-    """Return the stack of a number 1 to 4, such that the closed pair has Table 2 for references of about 1 V.
+    """Return stack 1 to 4, such that the closed pair has the dynamics of Table 2 for references of about 1 V.
 
     The zero cancels the slow pole, so the loop has two poles, that of the controller p_p and omega_f. Table 2 gives
     p_1, p_2 and kappa of the axis that the stack moves. They require omega_f = p_1 + p_2 - p_p and the loop gain
@@ -242,7 +242,7 @@ class PiezoStacks(Brief):
 
     @classmethod
     def unequal(cls, spread: float, seed: int = 0, stacks: Sequence[PiezoStack] | None = None) -> PiezoStacks:
-        """Return stacks with random differences in their poles and hysteresis.
+        """Return stacks with random differences in poles and hysteresis.
 
         Parameters
         ----------

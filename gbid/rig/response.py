@@ -149,7 +149,7 @@ _TURN = np.asarray(np.arange(720) * (TURN / 720), float)  # angles of a turn
 def possible_machines(
     machine: Machine, conditions: Mapping[str, float], scatter: Scatter | None = None
 ) -> list[tuple[dict[str, float], float]]:
-    """Return key parameters of a machine and of a hundred draws of its scatter, with the part of the clearance taken.
+    """Return key parameters of a machine and of 100 draws of its scatter, each with the used part of the clearance [m].
 
     The orbit of the unbalance and the run-out take this part [m]. The run-out counts as if the disc moved by it: a disc
     that is not round needs it, and on a real machine nobody can tell the two apart before they are separated.
@@ -175,7 +175,7 @@ def possible_machines(
 
 
 def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int) -> FloatArray:
-    """Return the system matrix of one axis, with the held input as a seventh, constant state."""
+    """Return the system matrix of one axis with seven states; the last state is the constant held input."""
     slow, fast = actuator.slow_pole[axis], actuator.fast_pole[axis]
     matrix = np.zeros((7, 7))
     matrix[0, 0], matrix[0, 6] = -slow, slow * actuator.gain[axis]
@@ -188,7 +188,7 @@ def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int)
 
 
 def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_time: float) -> list[FloatArray]:
-    """Return the states of both chains at the samples, from rest, each (n_samples, 7) with r in the last column."""
+    """Return the states of both axes at the samples, from rest, each (n_samples, 7) with r in the last column."""
     step = np.zeros((12, 12))
     drive = np.zeros((12, 2))
     for axis, chain in enumerate(chains):
@@ -207,7 +207,7 @@ def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_t
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Additional forces per moving mass as a function of time.
+    """Additional forces on the rotor per moving mass, as a function of time.
 
     Random sequences are drawn at the samples and interpolated linearly in between, so that they do not depend on the
     time step.
@@ -242,7 +242,7 @@ class Forces:
     effects: FloatArray | None = None
 
     def between(self, first: int, last: int, oversampling: int) -> FloatArray:
-        """Return the forces from one sample to another, at the time steps and half-way between.
+        """Return the forces between two samples, at the time steps and at their midpoints.
 
         Returns
         -------

@@ -107,7 +107,7 @@ def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
 
 
 def encoder_angle(sensors: SensorChain, angle: FloatArray) -> FloatArray:
-    """Return the angle that the encoder shows, within [0, 2 pi) [rad], shape of `angle`."""
+    """Return the angle that the encoder reads, within [0, 2 pi) [rad], shape of `angle`."""
     turns = np.mod(angle / TURN, 1.0)
     if sensors.encoder_counts is None:
         return np.where(turns < 1.0, turns, 0.0) * TURN  # mod rounds tiny negative angles up to 1
@@ -173,7 +173,7 @@ class SampledController(Brief):
             object.__setattr__(self, name, value)
 
     def subtracted(self, angle: FloatArray) -> FloatArray:
-        """Return the correction that the controller subtracts from the measured position, shape (n, 2) [m].
+        """Return the correction subtracted from the measured position before feedback, shape (n, 2) [m].
 
         Parameters
         ----------
@@ -190,16 +190,16 @@ class SampledController(Brief):
 
 @runtime_checkable
 class LoopProgram(Protocol):
-    """Program that makes references from samples, as the compiled control chain of a target."""
+    """Protocol of programs that compute references from samples, such as the compiled control chain."""
 
     def references(self, position: FloatArray, angle: float, pressure_bar: float, speed_rpm: float) -> FloatArray:
-        """Return r_x, r_y [m] for one sample: p_x, p_y as measured [m], shaft angle [rad], and operating point."""
+        """Return r_x, r_y [m] for one sample of measured p_x, p_y [m], shaft angle [rad] and operating point."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ProgramController:
-    """Feedback by a program that gets each sample in turn; software in the loop.
+    """Feedback by a program that receives each sample in turn: software in the loop.
 
     Its references act one sample later and are limited to the travel of the stacks, as those of `SampledController`.
 

@@ -37,7 +37,7 @@ from gbid.rig.stepping import ProgramLoop, SteppedMotion, Surfaces, stepped_moti
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of a recording; by default there are none.
+    """Faults of a recording; none by default.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ Experiment = Stationary | Prbs | Played | Staircase | StackStaircase | Hammer | 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
-    """Arguments of `record` beside machine and experiment.
+    """Arguments of `record` other than machine and experiment.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class RecordOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """A recording before its simulation: the machine as drawn, its references, forces and rotation.
+    """Recording before its simulation: random machine, references, forces and rotation.
 
     Samples count from the start of the settling time; `logged` are those of the recording.
     """
@@ -314,7 +314,7 @@ def _posed(
     random: Sequence[np.random.Generator],
     of_effects: Sequence[np.random.Generator],
 ) -> tuple[_Run, FloatArray]:
-    """Return the run of a machine, and the deviations of the readings of p by its effects, (n, 2) [m]."""
+    """Return the run of a machine, and the errors that effects add to the readings of p, (n, 2) [m]."""
     levels, start, process, whirl = random
     sample_time, surfaces = options.sample_time, options.surfaces
     if machine.film is not None and (options.scatter is not None or surfaces is not None):
@@ -375,7 +375,7 @@ def _rotation(experiment: Experiment, conditions: Mapping[str, float]) -> Turnin
 def _along_course(
     machine: Machine, experiment: ScheduledRun, options: RecordOptions, times: FloatArray
 ) -> tuple[Machine, tuple[RotorBearingTruth, ...], int]:
-    """Return the machine at the start of a course, its parameters on the way, and the number of rejected draws.
+    """Return the machine at the start, its parameters during the change, and the number of rejected random draws.
 
     A recording with scatter deviates from the surfaces by the same amounts all the way, which are drawn at the middle
     of the course.
@@ -395,7 +395,7 @@ def _along_course(
 
 
 def _motion(run: _Run, sensor: FloatArray, shown: FloatArray) -> SteppedMotion:
-    """Return the motion of a run, in closed form where there is one, and refuse one that uses up the clearance.
+    """Return the motion of a run, in closed form if possible; refuse a motion that uses up the clearance.
 
     Parameters
     ----------
@@ -469,7 +469,7 @@ Span = tuple[float, float]
 
 
 def _provenance(run: _Run, motion: SteppedMotion) -> dict[str, str]:
-    """Return the texts that are stored with a recording; values are JSON."""
+    """Return the texts of the provenance that is stored with a recording, with values as JSON."""
     machine, options, controller = run.machine, run.options, run.options.controller
     effects = {"effects": {effect.name: asdict(effect) for effect in machine.effects}} if machine.effects else {}
     rig = {key: value for key, value in asdict(machine).items() if key != "effects"}
@@ -496,13 +496,13 @@ def _provenance(run: _Run, motion: SteppedMotion) -> dict[str, str]:
 
 
 def spans(time: FloatArray, inside: np.ndarray, sample_time: float) -> list[Span]:
-    """Return the time intervals (first, end) [s] of consecutive samples that are marked as inside."""
+    """Return the time intervals (first, end) [s] of consecutive samples whose mask is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     return [(float(time[a]), float(time[b - 1] + sample_time)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def touch_downs(recording: Recording) -> list[Span]:
-    """Return the time intervals (first, end) [s] in which the disc touched the bearing; empty when it never did.
+    """Return the time intervals (first, end) [s] in which the disc touched the bearing; empty without contact.
 
     Parameters
     ----------
@@ -513,7 +513,7 @@ def touch_downs(recording: Recording) -> list[Span]:
 
 
 def saturations(recording: Recording) -> dict[str, list[Span]]:
-    """Return the time intervals (first, end) [s] in which a stack was saturated, by the number of the stack.
+    """Return the time intervals (first, end) [s] of saturation for each stack, keyed by the stack's number.
 
     Parameters
     ----------
@@ -525,7 +525,7 @@ def saturations(recording: Recording) -> dict[str, list[Span]]:
 
 
 def drawn_truth(recording: Recording) -> dict[str, float]:
-    """Return the fourteen true key parameters of a recording by name; empty when the recording does not store them.
+    """Return the fourteen true key parameters of a recording by name; empty if not stored.
 
     Parameters
     ----------
@@ -536,5 +536,5 @@ def drawn_truth(recording: Recording) -> dict[str, float]:
 
 
 def as_json(value: Any) -> str:
-    """Return values and arrays as one line of JSON with sorted keys."""
+    """Return a value or array as one line of JSON with sorted keys."""
     return json.dumps(value, default=lambda array: np.asarray(array).tolist(), sort_keys=True)

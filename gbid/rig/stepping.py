@@ -1,4 +1,4 @@
-"""Motion of the rig by time stepping in C: nonlinear machines, control loops, courses of pressure and speed."""
+"""Motion of the rig by time stepping in C: nonlinear machines, control loops, changing pressure and speed."""
 
 from __future__ import annotations
 
@@ -534,7 +534,7 @@ class ProgramLoop:
     pressure_bar: FloatArray
 
     def part(self, rows: slice) -> ProgramLoop:
-        """Return the loop for some of the samples."""
+        """Return the loop restricted to a range of samples."""
         return ProgramLoop(self.program, self.angle[rows], self.speed_rpm[rows], self.pressure_bar[rows])
 
 
@@ -615,7 +615,7 @@ def truths_along(
 
 
 def _at(arrays: StepArrays, truth: RotorBearingTruth) -> StepArrays:
-    """Return the constants of the simulation with other parameters of rotor and bearing."""
+    """Return the constants of the simulation with new parameters of rotor and bearing."""
     rotor = arrays.rotor.copy()
     matrices = (truth.stiffness, truth.damping, truth.input_gain)
     rotor[BEARING] = np.concatenate([matrix.ravel() for matrix in matrices])

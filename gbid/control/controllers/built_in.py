@@ -1,4 +1,4 @@
-"""Built-in controller structures: P, PD, PI, PID, notch, PPF, lead-lag, biquad, filter, observer, resonant, full ones.
+"""Built-in controller structures: P, PD, PI, PID, notch, PPF, lead-lag, biquad, filter, observer, resonant, coupled.
 
 A subclass of `PerAxis` in this file is a built-in structure. The default of its field `name` is its name in Python,
 YAML, controller files and messages. Nothing else has to know it.
@@ -71,7 +71,7 @@ AxisNames = Annotated[tuple[str, ...], Allowed("each axis a name of its own")]
 
 
 class AxisGain(NamedTuple):
-    """A gain that each axis has: name, start, bounds and unit; whether it is one of the filter's poles."""
+    """Gain of one axis: name, start value, bounds, unit, and whether it sets poles of the filter."""
 
     name: str
     start: float
@@ -87,22 +87,22 @@ def gain_name(name: str, axis: str) -> str:
 
 
 def inside(value: float, bounds: tuple[float, float]) -> float:
-    """Return the value within bounds that is nearest to a value."""
+    """Return a value clipped to bounds."""
     return min(max(value, bounds[0]), bounds[1])
 
 
 def gain_within(name: str, start: float, bounds: tuple[float, float], unit: str, of_poles: bool = False) -> AxisGain:
-    """Gain with the start value within its bounds that is nearest to a given one."""
+    """Return a gain whose start value is clipped to its bounds."""
     return AxisGain(name, inside(start, bounds), *bounds, unit, of_poles)
 
 
 def symmetric_gain(name: str, limit: float, unit: str = "m/m", start: float = 0.0) -> AxisGain:
-    """Gain of a bounded magnitude."""
+    """Return a gain with the bounds ``-limit`` and ``limit``."""
     return gain_within(name, start, (-limit, limit), unit)
 
 
 def pole_gains(frequency_khz: tuple[float, float], damping: tuple[float, float]) -> tuple[AxisGain, AxisGain]:
-    """Gains of a pair of poles: its frequency [kHz] and its damping factor, within their bounds."""
+    """Return the two gains of a pair of poles: frequency [kHz] and damping factor, clipped to their bounds."""
     return (
         gain_within("frequency", 0.15, frequency_khz, "kHz", of_poles=True),
         gain_within("damping", 0.7, damping, "", of_poles=True),
@@ -200,14 +200,14 @@ class PerAxis(ABC):
 
     @abstractmethod
     def _axis_gains(self) -> tuple[AxisGain, ...]:
-        """Return the gains of an axis."""
+        """Return the gains of the filter of one axis."""
 
     @abstractmethod
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
         """Return A, B, C, D of one axis for its gains and its low-pass."""
 
     def _check_coupling(self, where: str) -> None:
-        """Refuse places, sets and couplings that do not fit the axes."""
+        """Refuse sensor and actuator positions, gain sets and couplings that do not fit the axes."""
         n = len(self.axes)
         places = self.sensors_m, self.actuators_m
         if any(places) and (n % 2 or any(len(pair) != 2 or pair[0] == pair[1] for pair in places)):
@@ -229,11 +229,11 @@ class PerAxis(ABC):
 
     @property
     def follows_speed(self) -> bool:
-        """Whether the matrices follow the speed, so that the structure needs a schedule."""
+        """Whether the matrices depend on the speed, so that the structure needs a schedule."""
         return bool(self.notch_orders)
 
     def at_speed(self, speed_rpm: Any) -> Self:
-        """Return the structure at a speed, a number or a symbol [rpm]."""
+        """Return the structure at a speed [rpm], which may be a number or a symbol."""
         return replace(self, speed_rpm=speed_rpm)
 
     def _khz_at(self, order: float) -> Any:
@@ -242,7 +242,7 @@ class PerAxis(ABC):
 
     @property
     def _sets(self) -> tuple[str, ...]:
-        """Name of the gains of each filter."""
+        """Name of the gain set of each filter: the axis, or translation and tilt of a direction."""
         if self.gain_sets or not self.sensors_m:
             return self.gain_sets or self.axes
         pairs = zip(self.axes[::2], self.axes[1::2], strict=True)
@@ -253,7 +253,7 @@ class PerAxis(ABC):
 
     @property
     def _entries(self) -> list[tuple[int, int, int]]:
-        """Row, column and sign of each filter."""
+        """Row, column and sign of each filter in the controller matrix."""
         n = len(self.axes)
         if self.coupling == "full":
             return [(to, of, 1) for to in range(n) for of in range(n)]
@@ -271,7 +271,7 @@ class PerAxis(ABC):
         return gain_name(f"{gain.name}_cross", sets[min(to, of)])
 
     def _all_gains(self) -> tuple[AxisGain, ...]:
-        """Gains of an axis with those of its notches at the speed."""
+        """Gains of one axis, with the gains of its notches at multiples of the speed."""
         notches = [
             gain_within(f"speed_{name}_{k}", start, bounds, "", of_poles=True)
             for k in range(1, len(self.notch_orders) + 1)
@@ -281,7 +281,7 @@ class PerAxis(ABC):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
+        """Gains of all axes, sorted by kind; the corner frequency is last when it is tuned."""
         gains: dict[str, Parameter] = {}
         for gain in self._all_gains():
             for to, of, _ in self._entries:
@@ -295,7 +295,7 @@ class PerAxis(ABC):
         return tuple(gains.values())
 
     def _unit(self, gain: AxisGain) -> str:
-        """Return the unit of a gain; those of integral and derivative are times that of a proportional gain."""
+        """Return the unit of a gain; for integral and derivative gains the proportional gain's unit times 1/s or ms."""
         times = gain.unit in ("ms", "1/s") and self.gain_unit != "m/m"
         return f"{self.gain_unit} {gain.unit}" if times else gain.unit.replace("m/m", self.gain_unit)
 
@@ -322,7 +322,7 @@ class PerAxis(ABC):
         return {"A": ca.diagcat(*A), "B": ca.diagcat(*B) @ sense, "C": C, "D": D @ sense}
 
     def _geometry(self) -> tuple[Any, Any]:
-        """Return the matrices from positions to the inputs of the filters, and from their outputs to the references."""
+        """Return two matrices: from positions to filter inputs, and from filter outputs to references."""
         if not self.sensors_m:
             return 1, 1
         (s1, s2), (a1, a2) = self.sensors_m, self.actuators_m
@@ -368,7 +368,7 @@ def first_order(low: Any, high: Any, corner_khz: Any) -> System:
 
 
 def in_series(first: Sequence[Any], second: Sequence[Any]) -> System:
-    """Return the system whose input passes `first`, then `second`."""
+    """Return the series connection of two systems: the output of `first` is the input of `second`."""
     A, B, C, D = first
     a, b, c, d = second
     n, m = A.shape[0], a.shape[0]
@@ -376,7 +376,7 @@ def in_series(first: Sequence[Any], second: Sequence[Any]) -> System:
 
 
 def in_parallel(first: Sequence[Any], second: Sequence[Any]) -> System:
-    """Return the sum of two systems with one input."""
+    """Return the parallel connection of two systems: one input, summed outputs."""
     A, B, C, D = first
     a, b, c, d = second
     return ca.diagcat(A, a), ca.vertcat(B, b), ca.horzcat(C, c), D + d
@@ -389,7 +389,7 @@ FilterOrder = Annotated[int, Exact(), Ge(1), Le(8), Allowed("a whole number, 1 t
 
 @dataclass(frozen=True)
 class Proportional(PerAxis):
-    """Base class of the structures with a gain kappa per axis, and a proportional controller themselves."""
+    """Base class of the structures with a proportional gain kappa per axis; by itself a proportional controller."""
 
     lower: Finite = -3.0
     upper: Finite = 3.0
@@ -819,7 +819,7 @@ class ResonantStructure(PerAxis):
 
     @property
     def follows_speed(self) -> bool:
-        """Whether the matrices follow the speed."""
+        """Whether the matrices depend on the speed."""
         return True
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
@@ -873,7 +873,7 @@ class FullPDStructure(PDStructure):
 
 @dataclass(frozen=True)
 class FullBiquadStructure(BiquadStructure):
-    r"""Biquad controller with cross-coupling: the filters of an input share their denominator.
+    r"""Biquad controller with cross-coupling: all filters of one input have a common denominator.
 
     .. math:: K_{ij}(s) = \frac{b_{2,ij} s^2 + b_{1,ij} \omega_j s + b_{0,ij} \omega_j^2}
                                {s^2 + 2 \zeta_j \omega_j s + \omega_j^2} \left(\frac{p_{lp}}{s + p_{lp}}\right)^n
@@ -898,7 +898,7 @@ class FullBiquadStructure(BiquadStructure):
 
 
 def state_feedback(model: LinearModel, position: float, noise: float = 0.1, reach: float = 4.0) -> LinearStructure:
-    r"""Return a state feedback with an observer of all states of a model, such as that of a fit.
+    r"""Return a state feedback with an observer of all states of a model, for example of a fitted model.
 
     .. math:: \dot{\hat x} = A \hat x + B r + L\,(p - C \hat x - D r), \quad r = F \hat x, \quad
               F = F_0\, \mathrm{diag}(f), \quad L = \mathrm{diag}(l)\, L_0
@@ -958,6 +958,6 @@ def state_feedback(model: LinearModel, position: float, noise: float = 0.1, reac
 
 @cache
 def built_in_structures() -> Mapping[str, type[PerAxis]]:
-    """Built-in structures by name: the classes of this file that have one."""
+    """Built-in structures by name: all classes of this file that have a name."""
     classes = [c for c in globals().values() if isinstance(c, type) and issubclass(c, PerAxis) and c.name]
     return MappingProxyType({c.name: c for c in sorted(classes, key=lambda c: c.name)})

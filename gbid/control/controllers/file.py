@@ -1,4 +1,4 @@
-"""Controller design: structure, gains, sampling and provenance."""
+"""Controller designs and their YAML files: structure, gains, sampling, matrices and provenance."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from gbid.structure.linear import Structure
 
 @runtime_checkable
 class Designed(Protocol):
-    """Result of a search that is a controller for a machine, as `gbid.GainResult` is."""
+    """Protocol of results that contain a controller design, such as `gbid.GainResult`."""
 
     def design(
         self, *, name: str = "", sample_time: float | None = None, method: Method | None = None, plant: str = ""
     ) -> ControllerDesign:
-        """Return the controller with its sampling."""
+        """Return the controller design with its sampling."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ControllerDesign(Brief):
-    """Designed controller, as `load_controller` returns it.
+    """Controller with structure, gains, sampling and provenance, as `load_controller` returns it.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class ControllerDesign(Brief):
         return controller_at(self.structure, self.gains, *point)
 
     def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
-        """Return the controller discretised by its own method at its own sample time; see `at`.
+        """Return the controller discretised by the method and at the sample time of the design; arguments as for `at`.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class ControllerDesign(Brief):
 
     @property
     def rate(self) -> float:
-        """Sample time of the target [s]; an error where nobody said it."""
+        """Sample time of the target [s]; raises an error if the design has none."""
         if self.sample_time is None:
             text = f"controller {self.name!r}: give sample_time=, the time between samples of the target in seconds"
             raise UsageError(text)
@@ -218,7 +218,7 @@ class ControllerModelTable(FileTable):
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerFile(FileTable):
-    """Contents of a controller file, in their order."""
+    """Contents of a controller file, in the order of the file."""
 
     kind: Literal["controller"]
     schema_version: Literal[1]
@@ -380,7 +380,7 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
 
 
 def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> ControllerDesign:
-    """Return a design whose matrices agree with its gains; those of a file changed by hand are computed anew."""
+    """Return a design with matrices computed from its gains if the file was changed by hand; else check both."""
     if not design.notes:
         if differences:
             raise UsageError(f"{differences[0]}; write the file anew with save_controller")
@@ -462,7 +462,7 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
 
 
 def _difference(file: YamlFile, design: ControllerDesign, i: int, table: ControllerFile) -> str:
-    """Return where matrices do not agree with gains and sampling, because only one of them was changed."""
+    """Return where the stored matrices differ from those computed from gains and sampling, one text per difference."""
     stored = table.models[i]
     point = stored.point or ()
     for what, given, expected in (

@@ -124,7 +124,7 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
 
 
 def _channels(names: tuple[str, ...], count: int) -> tuple[str, ...]:
-    """Return the names of channels; of one signal with several channels they end with the axis, or with a number."""
+    """Return channel names; with several channels per signal they end with the axis or with a number."""
     if len(names) == count:
         return names
     ends = AXES if count == len(AXES) else range(1, count + 1)
@@ -170,12 +170,12 @@ class Scheduled(OnBase):
 
     @property
     def name(self) -> str:
-        """Name of the base structure with the terms."""
+        """Name of the base structure, followed by the terms of the schedule."""
         return f"{self.base.name} scheduled over {', '.join(self.terms)}"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients, gain by gain.
+        """Coefficients of all gains, sorted by gain.
 
         The constant term has the bounds of the gain, the other terms have plus and minus half their width. These
         bounds do not limit the gains themselves. Limit the values of `gains` at operating points for that.
@@ -233,7 +233,7 @@ class Scheduled(OnBase):
         return self.base_at(speed_rpm).matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
 
     def base_at(self, speed_rpm: Any) -> Structure:
-        """Return the base structure at a speed, which matters when its matrices follow the speed.
+        """Return the base structure at a speed; it changes only if its matrices depend on the speed.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ class Scheduled(OnBase):
         return self.base.at_speed(speed_rpm) if isinstance(self.base, PerAxis) else self.base
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
-        """Return the structure at one operating point; its parameters are the coefficients.
+        """Return the structure at one operating point; its parameters are the coefficients of the schedule.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ def scheduled(
 
 
 def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None) -> Structure | Scheduled:
-    """Return a structure, scheduled with constant gains when its matrices follow the speed.
+    """Return a structure; if its matrices depend on the speed, with a schedule of constant gains.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def controller_at(
 
 
 def _range(gain: Parameter, term: str) -> tuple[float, float, float]:
-    """Return start value and bounds of a coefficient."""
+    """Return start value and bounds of a coefficient of a scheduled gain."""
     if term == "1":
         return gain.start or 0.0, gain.lower, gain.upper
     half = (gain.upper - gain.lower) / 2

@@ -1,4 +1,4 @@
-"""Measured hammer impacts: their place and direction in a recording, the force between samples, the response to it."""
+"""Measured hammer impacts: time and direction in a recording, force between samples, simulated response."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SPLINE = 4  # smallest number of samples inside a pulse for a cubic spline
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """Impact in a recording.
+    """Hammer impact found in a recording.
 
     Attributes
     ----------
@@ -49,18 +49,18 @@ class MeasuredImpact:
 
     @property
     def axis(self) -> str:
-        """Nearest axis of the force, ``"x"`` or ``"y"``."""
+        """Axis nearest to the direction of the force, ``"x"`` or ``"y"``."""
         folded = abs((self.direction_deg + 90) % 180 - 90)
         return "x" if folded <= 45 else "y"
 
     @property
     def along(self) -> FloatArray:
-        """Unit vector of the direction (2,)."""
+        """Unit vector of the direction of the force (2,)."""
         return np.array([np.cos(np.deg2rad(self.direction_deg)), np.sin(np.deg2rad(self.direction_deg))])
 
 
 def force_of(recording: Recording, signal: str = "f", axis: str | None = None) -> FloatArray:
-    """Return the force along x and y.
+    """Return the measured force of a recording along x and y.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class Pulse:
 
 
 def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pulse, ...]:
-    """Return the force of each impact, interpolated between its samples.
+    """Return the force of each impact as a `Pulse`, interpolated between its samples.
 
     A pulse has corners between samples, and outside of it the measured force is noise. Therefore a cubic spline is
     fitted to the samples inside the pulse only. It is continued beyond the first and last of these samples until it
@@ -303,7 +303,7 @@ def force_response(
 def loop_of_impact(
     plant: LinearModel, controller: LinearModel | None, sample_time: float, computation_s: float | None
 ) -> LinearModel:
-    """Return the plant, its continuous loop, or its sampled loop with one sample of computation by default.
+    """Return the model that an impact excites: the plant, its continuous loop, or by default its sampled loop.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def _powers(F: FloatArray, n: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class RingData:
-    """One recording, prepared for the fit.
+    """Free responses, shaft angle and force of one recording, prepared for the ring-down fit.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class RingData:
 
     @property
     def free_responses(self) -> list[FloatArray]:
-        """Measured positions after each impact, without offset and harmonics."""
+        """Measured positions after each impact, with offset and harmonics of the shaft angle removed."""
         motion = self.position - self.quiet @ (self.quiet.T @ self.position)
         return [motion[start:stop] for start, stop in self.segments]
 
@@ -121,7 +121,7 @@ def ring_data(
 
 
 def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
-    """Refuse a position that rises suddenly, which no free decay does: a force was not measured, or is zero.
+    """Refuse a position with a sudden rise: no free decay rises, so that a force was not measured or is zero.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
 
 
 def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
-    """Return offset, and sines and cosines of the shaft angle, shape (n_samples, 1 + 2 harmonics)."""
+    """Return offset, and sines and cosines of the shaft angle, as columns (n_samples, 1 + 2 harmonics)."""
     offset = np.ones((recording.n_samples, 1))
     if not harmonics:
         return offset
@@ -162,7 +162,7 @@ def harmonics_for(recording: Recording, harmonics: int | None) -> int:
 def lagging_force(
     data: RingData, rates: Sequence[complex], directions: Sequence[int], sample_time: float
 ) -> FloatArray:
-    """Return the force filtered by decays of given rates, shape (n_samples, n_columns); zero where not used.
+    """Return the force filtered by first-order lags of given rates, (n_samples, n_columns); zero for unused columns.
 
     A real rate is a lag of gain one. A complex one is a decay that oscillates, with a column for its sine and one for
     its cosine. Columns are in the order of the rates, with those of all directions for each.
@@ -250,7 +250,7 @@ class RingProblem:
 
     @property
     def n_values(self) -> int:
-        """Number of fitted values."""
+        """Number of measured values that the fit uses."""
         return 2 * sum(int(d.used.sum()) for d in self.data)
 
     @property
@@ -264,7 +264,7 @@ class RingProblem:
         return tuple(lagging_force(d, self.rates, self.directions, self.sample_time) for d in self.data)
 
     def with_decays(self, theta: FloatArray, rates: Sequence[complex]) -> tuple[RingProblem, FloatArray, float]:
-        """Return the problem with decays of given rates, its parameters, and its sum of squares.
+        """Return the problem with additional decays of given rates, its parameters, and its sum of squares.
 
         The gains of the decays come from linear least squares, with K and D as they are.
         """
@@ -281,7 +281,7 @@ class RingProblem:
     def at(
         self, theta: FloatArray, *, slopes: bool = True, mechanical: bool = True
     ) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return projected residuals (n_samples, 2) and their derivatives (n_samples, 2, n_parameters), by recording.
+        """Return for each recording the projected residuals (n, 2) and their derivatives (n, 2, n_parameters).
 
         The derivatives are those of Kaufman's approximation (1975), which leaves out terms proportional to the
         residuals: none without `slopes`, those by K and D only if `mechanical`.
@@ -317,12 +317,12 @@ class RingProblem:
 
     @property
     def oscillations(self) -> FloatArray:
-        """Natural frequency [Hz] and damping factor of the decays that oscillate, shape (n, 2)."""
+        """Natural frequency [Hz] and damping factor of the additional oscillatory decays, shape (n, 2)."""
         rates = [(abs(rate) / (2 * np.pi), rate.real / abs(rate)) for rate in self.rates if rate.imag]
         return np.array(rates).reshape(-1, 2)
 
     def solve(self, theta: FloatArray) -> SeparableFit | None:
-        """Return the least-squares fit from given start values, by Levenberg-Marquardt; None when a response overflows.
+        """Return the least-squares fit from given start values (Levenberg-Marquardt); None if a response overflows.
 
         It may overflow at the start values or on the way.
         """
@@ -353,7 +353,7 @@ class RingProblem:
 
 @dataclass(frozen=True, eq=False)
 class SeparableFit:
-    """Result of the fit of the nonlinear parameters.
+    """Result of the separable least-squares fit: nonlinear parameters, residuals and their derivatives.
 
     Attributes
     ----------
@@ -427,7 +427,7 @@ class _Projector:
         self._gram = np.eye(n) - sum((w.T @ w for w in self._mixed), np.zeros((n, n)))
 
     def apply(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return projected (n_samples, 2, m) signals, and signals without offset and harmonics only."""
+        """Return projected (n_samples, 2, m) signals, and the signals with only offset and harmonics removed."""
         d, m = self._data, signals.shape[2]
         right = self._quiet_part(signals, d.quiet)
         for q, w, (start, stop) in zip(self._bases, self._mixed, d.segments, strict=True):
@@ -442,7 +442,7 @@ class _Projector:
 
     @staticmethod
     def _quiet_part(signals: FloatArray, quiet: FloatArray) -> FloatArray:
-        """Return the products of (n, 2, m) signals with offset and harmonics, shape (2 n_quiet, m)."""
+        """Return the products of (n, 2, m) signals with the offset and the harmonics, shape (2 n_quiet, m)."""
         return np.asarray((quiet.T @ signals.reshape(len(signals), -1)).reshape(-1, signals.shape[2]))
 
 
@@ -455,7 +455,7 @@ _ROWS = 12
 def start_candidates(
     data: Sequence[RingData], sample_time: float, start: Sequence[tuple[float, float]] | None
 ) -> list[tuple[float, FloatArray]]:
-    """Return several start values.
+    """Return several start values of K and D for the fit of two modes.
 
     Parameters
     ----------
@@ -488,7 +488,7 @@ def start_candidates(
 
 
 def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float) -> tuple[float, FloatArray] | None:
-    """Return K and D of the four dominant states of the shifted free responses."""
+    """Return K and D of the four dominant states of the free responses (eigensystem realisation)."""
     blocks = []
     for d in data:
         for response in d.free_responses:
@@ -530,7 +530,7 @@ _EVALUATIONS = 40
 
 
 def add_oscillations(solved: SeparableFit) -> SeparableFit:
-    """Return the fit with up to two further decays that oscillate, as many as Schwarz's criterion selects.
+    """Return the fit with at most two additional oscillatory decays; Schwarz's criterion selects their number.
 
     A loop with filters rings in more modes than two. If they are left out, the damping of the two modes can be a fifth
     too low. Frequency and damping of a further decay are those that reduce the residuals most with the two modes as
@@ -547,7 +547,7 @@ def add_oscillations(solved: SeparableFit) -> SeparableFit:
 
 
 def _best_rate(solved: SeparableFit) -> complex:
-    """Return the rate of the decay that reduces the residuals most, with the two modes as they are."""
+    """Return the rate of the additional decay that reduces the residuals most, with the two modes fixed."""
 
     def rate_of(v: FloatArray) -> complex:
         size, damping = np.exp(v[0]), float(np.clip(v[1], *_DAMPING))
@@ -576,7 +576,7 @@ _GUESSES = 2  # number of start values from which a fit is made
 def fit_lags(
     problem: RingProblem, guesses: Sequence[tuple[float, FloatArray]], lags: int | Literal["auto"]
 ) -> SeparableFit:
-    """Return the fit of two modes, with lags when they are requested or when the data require them.
+    """Return the fit of two modes, with lags if they are requested or if the data require them.
 
     Where ``"auto"`` chooses lags, it also chooses decays that oscillate, see `add_oscillations`.
 
@@ -673,7 +673,7 @@ def covariance_of_sum(
 
 
 class RingDownStatus(StrEnum):
-    """Why a fit to ring-downs ended."""
+    """Reason why a ring-down fit ended."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not converged"
@@ -685,7 +685,7 @@ class RingDownStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class RingDown(Brief):
-    """Two modes from ring-downs, as `fit_ringdown` returns them.
+    """Frequency and damping of two modes from ring-downs, as `fit_ringdown` returns them.
 
     Attributes
     ----------
@@ -745,7 +745,7 @@ class RingDown(Brief):
 
     @property
     def aperiodic(self) -> bool:
-        """Whether the response is so strongly damped that it has no two oscillations; then the fit cannot succeed."""
+        """Whether the damping is so strong that two oscillations cannot be found; the fit then cannot succeed."""
         return self.status is RingDownStatus.NO_OSCILLATIONS
 
     def interval(self, level: float = 0.95) -> FloatArray:
@@ -870,7 +870,7 @@ _SURE = 2.0  # standard deviations by which a damping factor must be positive
 
 
 def _limits_in_words(data: RingData, unit: float) -> list[str]:
-    """Return the channels of a recording whose free responses stay at a limit, with the limit."""
+    """Return a text with the channels whose free responses stay at a limit, and the limit."""
     free = np.vstack([data.position[start:stop] for start, stop in data.segments])
     return [
         f"recording {data.name!r}: position {axis} stays at {', '.join(f'{unit * limit:.3g} m' for limit in limits)}"
@@ -886,7 +886,7 @@ def _result(
     impacts: Sequence[Sequence[MeasuredImpact]],
     harmonics: int,
 ) -> RingDown:
-    """Return the modes of a fit with their covariance, with the positions in `unit` m."""
+    """Return the modes of a ring-down fit with their covariance; positions are in multiples of `unit` metres."""
     theta, problem = solved.theta, solved.problem
     K, D = -theta[:4].reshape(2, 2) * problem.rate**2, -theta[4:8].reshape(2, 2) * problem.rate
     modes = problem.modes(theta)

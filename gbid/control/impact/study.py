@@ -1,4 +1,4 @@
-"""Impact study: expected and measured modes at one operating point in one loop (Tables 3 and 4)."""
+"""Impact studies of one operating point and loop: validation, force scale, motion, modes (Tables 3 and 4)."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class ImpactValidation(Brief):
 
     @property
     def shown(self) -> slice:
-        """Samples of the first impact for a figure, from a little before it until the response has decayed."""
+        """Samples of the first impact for a figure: from just before the impact until the response has decayed."""
         start, stop = self.windows[0]
         return slice(max(0, start - _BEFORE), stop)
 
@@ -118,7 +118,7 @@ def validate_impact(
     computation_s: float | None = None,
     entry: FloatArray | None = None,
 ) -> ImpactValidation:
-    r"""Return the force scale, and measured and simulated impact responses (paper, Sec. 5.1).
+    r"""Return the force scale with measured and simulated impact responses (paper, Sec. 5.1).
 
     g_f is the linear least-squares factor between the measured response and the simulated response for a mass of 1
     kg, :math:`p = g_f\, G_b f` (Eq. 8) or :math:`p = g_f\, S_o G_b f`. An offset and, when the shaft turns, harmonics
@@ -226,7 +226,7 @@ _QUIET = 50  # smallest number of samples between responses for an estimate of t
 
 @dataclass(frozen=True)
 class ImpactFigures:
-    """Figures of the impacts of one recording: means over the impacts, and standard deviations of the measured values.
+    """Largest motion and decay time after the impacts of one recording: means, and standard deviations if measured.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ def impact_figures(
     actuators: LinearModel,
     controller: LinearModel | None = None,
 ) -> ImpactFigures:
-    """Return the impact figures of a recording.
+    """Return largest motion and decay time after the impacts of a recording.
 
     Parameters
     ----------
@@ -295,14 +295,14 @@ def impact_figures(
 
 
 def _statistics(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
-    """Return mean and standard deviation of the measured values, and mean of the simulated values."""
+    """Return mean and standard deviation of the measured values, and the mean of the simulated values."""
     measured, simulated = np.array(pairs).T
     spread = float(measured.std(ddof=1)) if len(measured) > 1 else float("nan")
     return float(measured.mean()), spread, float(simulated.mean())
 
 
 def _noise(motion: FloatArray, validation: ImpactValidation) -> float:
-    """Return the mean square of the distance outside the responses; nan when there is no such time."""
+    """Return the mean square of the disc's distance from its centre outside the responses; nan with too few samples."""
     quiet = np.ones(len(motion), dtype=bool)
     for start, stop in validation.windows:
         quiet[start:stop] = False
@@ -310,7 +310,7 @@ def _noise(motion: FloatArray, validation: ImpactValidation) -> float:
 
 
 def _decay(distance: FloatArray, noise: float) -> float:
-    """Return the number of samples until the share `OVER` of the energy has passed."""
+    """Return the number of samples until the share `OVER` of the response energy has passed."""
     energy = np.concatenate([[0.0], np.cumsum(distance**2 - noise)])
     if not energy[-1] > 0:
         return float("nan")
@@ -378,7 +378,7 @@ def ringing_modes(
 
 @dataclass(frozen=True, eq=False)
 class ImpactStudy(Brief, hdf5.InFile):
-    """Expected and measured modes, and measured and simulated responses.
+    """Expected and measured modes, and measured and simulated responses, at one operating point in one loop.
 
     Attributes
     ----------
@@ -491,7 +491,7 @@ def study_impacts(
     lags: int | Literal["auto"] = "auto",
     loop: str | None = None,
 ) -> ImpactStudy:
-    """Return the modes fitted to the ring-downs of some recordings, compared with a model.
+    """Return a comparison of the modes fitted to the ring-downs of recordings with the modes of a model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Closed loop of a plant and a controller."""
+"""Closed loop of plant and controller, smallest damping factor, force input, and discretisation."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def close_loop(plant: LinearModel, controller: LinearModel) -> LinearModel:
 
 
 def loop_with_disturbances(plant: LinearModel, controller: LinearModel) -> LinearModel:
-    r"""Return the closed loop from (w, d), added to r and to p, to (p, r); errors are those of `close_loop`.
+    r"""Return the closed loop from (w, d), added to r and to p, to (p, r); raises as `close_loop`.
 
     .. math:: p = G r + d, \quad r = K p + w, \qquad
               r = M (C_K x_K + D_K C_G x_G + w + D_K d), \quad M = (I - D_K D_G)^{-1}
@@ -94,7 +94,7 @@ def loop_with_disturbances(plant: LinearModel, controller: LinearModel) -> Linea
 
 
 def _check_fit(plant: LinearModel, controller: LinearModel) -> None:
-    """Refuse models that cannot form a loop."""
+    """Refuse a plant and a controller whose channels or sample times do not fit each other."""
     where = f"loop of {plant.name!r} and {controller.name!r}"
     if plant.dt != controller.dt:
         kinds = ["continuous" if m.dt is None else f"sampled at {m.dt:g} s" for m in (plant, controller)]
@@ -185,7 +185,7 @@ def static_force_gain(plant: LinearModel) -> FloatArray:
 
 
 def _only_one(row: FloatArray) -> int | None:
-    """Return the index of the only nonzero entry of a row, if that entry is 1."""
+    """Return the index of the only nonzero entry of a row, if this entry is 1."""
     places = np.flatnonzero(row)
     return int(places[0]) if len(places) == 1 and row[places[0]] == 1.0 else None
 
@@ -278,7 +278,7 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
 
 
 def too_slow_for(law: LinearModel, sample_time: float) -> str:
-    """Return in words that a continuous controller has a pole beyond half the sampling frequency; else nothing.
+    """Return a text if a continuous controller has a pole beyond half the sampling frequency; else an empty text.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def too_slow_for(law: LinearModel, sample_time: float) -> str:
 
 
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
-    """Return a sampled controller.
+    """Return a continuous controller discretised by the trapezoidal rule (Tustin) or with zero-order hold.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class HalfSine:
         check_options(self, "impact")
 
     def towards(self, direction_deg: float) -> HalfSine:
-        """Return the same impact in another direction.
+        """Return this impact with another direction.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class HalfSine:
         return replace(self, direction_deg=direction_deg)
 
     def on(self, machine: MachineData) -> HalfSine:
-        """Return the same impact on a machine, whose moving mass it takes where it has none of its own."""
+        """Return this impact with the moving mass of a machine, if the impact has no moving mass yet."""
         return self if self.mass_kg is not None else replace(self, mass_kg=machine.moving_mass_kg)
 
     @property
@@ -119,7 +119,7 @@ class ImpactResponse(Brief):
 
     @property
     def exceeds_travel(self) -> bool:
-        """Whether a stack exceeds its travel, if that is known; the simulated response is linear, not saturated."""
+        """Whether a stack exceeds its travel; false if the travel is unknown. The response is linear, not saturated."""
         return self.stack_travel_m > self.travel_limit_m
 
 

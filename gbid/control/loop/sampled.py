@@ -52,7 +52,7 @@ class SampledLoop(Brief):
 
 
 def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearModel:
-    """Return the whole plant from r to p at one operating point, with exact delays.
+    """Return the plant from r to p at one operating point, with exact delays.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def sampled_loop(
     computation_s: float | None = None,
     method: Method = "tustin",
 ) -> SampledLoop:
-    """Return the sampled loop, as on a real-time target.
+    """Return the sampled loop of a plant with exact delays, as a real-time target runs it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sensitivities of a loop (Eq. 22), their frequency responses and peaks."""
+"""Sensitivities of a loop (Eq. 22), their peaks, zones of ISO 14839-3, disk margins and classical margins."""
 
 from __future__ import annotations
 
@@ -62,15 +62,15 @@ class Sensitivities(Brief, Pictured):
 
     @property
     def has_delay(self) -> bool:
-        """Whether the plant has exact delays; then there are frequency responses, but no state-space model."""
+        """Whether the plant has exact delays. Such a loop has a frequency response but no finite state-space model."""
         return self.plant.delay is not None
 
     def is_stable(self) -> bool:
-        """Return whether the loop is stable; exact delays become Pade delays of order `STABILITY_PADE_ORDER`."""
+        """Return whether the loop is stable; Padé delays of order `STABILITY_PADE_ORDER` replace exact delays."""
         return bool(self._loop.is_stable())
 
     def model(self, which: Which) -> LinearModel:
-        """Return the state-space model of one of the sensitivities; all of them have the same A.
+        """Return the state-space model of one sensitivity; the models of all sensitivities have equal A.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Sensitivities(Brief, Pictured):
         return _combine(which, G, K)
 
     def _beside_integrators(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return frequencies, just above zero where plant or controller integrate: the loop has a limit there."""
+        """Return frequencies; zero is replaced by a tiny frequency if plant or controller integrates."""
         at_rest = frequency_hz == 0
         if not at_rest.any() or not any(_integrates(model) for model in (self.plant, self.controller)):
             return frequency_hz
@@ -166,7 +166,7 @@ class Sensitivities(Brief, Pictured):
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the loop [rad/s]; exact delays are replaced by Pade filters."""
+        """Poles of the loop [rad/s]; Padé filters replace exact delays."""
         return self._loop.poles()
 
     @cached_property
@@ -175,7 +175,7 @@ class Sensitivities(Brief, Pictured):
         return loop_with_disturbances(plant, self.controller)
 
     def _part(self, which: Which) -> LinearModel:
-        """Return one sensitivity from the whole loop, whose inputs are (w, d) and outputs (p, r)."""
+        """Return one sensitivity as a part of the loop from (w, d) to (p, r)."""
         n_r, n_p = self.plant.B.shape[1], self.plant.C.shape[0]
         w, d, p, r = slice(0, n_r), slice(n_r, None), slice(0, n_p), slice(n_p, None)
         rows, columns = {"output": (p, d), "input": (r, w), "control": (r, d), "plant": (p, w)}.get(which, (p, d))
@@ -253,7 +253,7 @@ def _integrates(model: LinearModel) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SensitivityData(Brief):
-    """Frequency responses of a loop, channel by channel.
+    """Frequency responses of a loop for the figures, channel by channel.
 
     Attributes
     ----------
@@ -283,7 +283,7 @@ class SensitivityData(Brief):
 def sensitivity_data(
     plant: LinearModel, controller: LinearModel, frequency_hz: npt.ArrayLike | None = None
 ) -> SensitivityData:
-    """Return the curves of Figs. 20 and 21.
+    """Return the frequency response curves of a loop (paper, Figs. 20 and 21).
 
     Parameters
     ----------
@@ -447,7 +447,7 @@ class DiskMargin:
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """Classical margins of one loop while the others stay closed.
+    """Classical margins of one loop while all other loops stay closed.
 
     Attributes
     ----------
@@ -494,7 +494,7 @@ def disk_margin(loop: Sensitivities, at: Side = "output") -> DiskMargin:
 
 
 def disk_margins_by_loop(loop: Sensitivities, at: Side = "output") -> tuple[DiskMargin, ...]:
-    """Return the disk margin of each loop alone, with the others unchanged.
+    """Return the disk margin of each loop alone, with all other loops unchanged.
 
     Parameters
     ----------
@@ -516,7 +516,7 @@ def disk_margins_by_loop(loop: Sensitivities, at: Side = "output") -> tuple[Disk
 
 
 def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins, ...]:
-    r"""Return the gain, phase and delay margins of each loop, with the others closed.
+    r"""Return the gain, phase and delay margins of each loop, with all other loops closed.
 
     Parameters
     ----------
@@ -617,7 +617,7 @@ def structured_singular_values(matrices: ComplexArray) -> FloatArray:
 
 
 def _balanced(loop: Sensitivities, frequency_hz: FloatArray, at: Side) -> ComplexArray:
-    """Return ``S - T = 2 S - I``."""
+    """Return the balanced sensitivity ``S - T = 2 S - I``."""
     S = loop.response(at, frequency_hz)
     return np.asarray(2 * S - np.eye(S.shape[-1]))
 
@@ -660,7 +660,7 @@ _PASSED_ON = 0.1  # smallest relative change of the loop gain over an octave at 
 
 
 def _real_ends(loop: Sensitivities, i: int, gain_at: Callable[[float], complex]) -> list[float]:
-    """Return the loop gain of a channel where it is real: at rest, and at the Nyquist or at an infinite frequency.
+    """Return the loop gain of a channel where it is real: at zero frequency, and at the Nyquist or infinite frequency.
 
     With an integrator the gain at rest is infinite, and no factor but zero brings a pole there.
     """
@@ -677,7 +677,7 @@ def _real_ends(loop: Sensitivities, i: int, gain_at: Callable[[float], complex])
 
 
 def _zeros(function: object, grid: FloatArray, values: FloatArray) -> list[float]:
-    """Return the places between grid points where a real function changes its sign."""
+    """Return the zeros of a real function between grid points, found by changes of sign."""
     signs = np.sign(values)
     changes = np.flatnonzero(signs[1:] * signs[:-1] < 0)
     return [float(scipy.optimize.brentq(function, grid[k], grid[k + 1], xtol=1e-12, rtol=1e-14)) for k in changes]

@@ -1,1 +1,1 @@
-"""Gains that are optimised: goals, plants, search, certificates."""
+"""Tuning of gains: goals, plants, search and certificates of optimality."""

@@ -1,4 +1,4 @@
-"""Certificate of optimality: the smallest convex combination of gradients at or near a design."""
+"""Certificate of optimality: the smallest convex combination of gradients, also where eigenvalues coalesce."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ALONE, _TOGETHER = 4, 3
 
 @dataclass(frozen=True)
 class Meeting:
-    """Eigenvalues of a loop that may meet: mean as a function of the gains, cluster, and the radius around the mean."""
+    """Cluster of eigenvalues of one loop that may coalesce: mean as a function of the gains, cluster and radius."""
 
     mean: ActiveFunction
     cluster: Cluster
@@ -48,11 +48,11 @@ class Meeting:
 
     @property
     def close(self) -> bool:
-        """Whether the eigenvalues are so near to each other that their mean can take the place of each of them."""
+        """Whether the eigenvalues are so near to each other that their mean can replace each of them."""
         return bool(self.radius <= _CLOSE * abs(self.mean.place))
 
     def holds(self, piece: ActiveFunction) -> bool:
-        """Return whether a function belongs to one of these eigenvalues."""
+        """Return whether an active function belongs to an eigenvalue of this cluster."""
         same = (piece.family, piece.loop) == (self.mean.family, self.mean.loop)
         return same and abs(piece.place - self.mean.place) <= self.radius
 
@@ -66,7 +66,7 @@ class Meeting:
 
     @property
     def rows(self) -> list[tuple[float, FloatArray]]:
-        """Values and gradients of the power sums, which are zero where the eigenvalues meet."""
+        """Values and gradients of the power sums, which are zero where the eigenvalues coalesce."""
         sums = list(zip(self.cluster.powers.real.tolist(), self.cluster.powers_slope.real, strict=True))
         if not self.cluster.real:
             sums += zip(self.cluster.powers.imag.tolist(), self.cluster.powers_slope.imag, strict=True)
@@ -74,7 +74,7 @@ class Meeting:
 
 
 def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
-    """Return groups of clusters that may meet at a better design, one by one and several at once.
+    """Return groups of clusters that may coalesce at a better design: single clusters, and several at once.
 
     They are those of the damping or decay of all modes: the mean of a cluster says nothing of another objective.
     """
@@ -114,7 +114,7 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
 def nearby(
     values: ComplexArray, worst: complex, scale: float, most: int, with_real: bool = True
 ) -> list[tuple[complex, int, float]]:
-    """Return centres, sizes and radii of clusters of eigenvalues that a given one may belong to.
+    """Return centres, sizes and radii of the clusters that may contain a given eigenvalue.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _middle(members: ComplexArray, real: bool) -> complex:
 def back_to_meeting(
     problem: GainProblem, x: FloatArray, move: FloatArray, group: tuple[Meeting, ...], least: float = -np.inf
 ) -> FloatArray | None:
-    """Return a move corrected so that the clusters of eigenvalues of a group meet at its end.
+    """Return a step of the gains, corrected so that the clusters of a group coalesce at its end.
 
     None when the objective of the means, or of other eigenvalues of their loops, is below `least` after the first
     correction; the others hardly change it.
@@ -226,7 +226,7 @@ def _reached(
     means: tuple[ActiveFunction, ...],
     sums: list[tuple[complex, ComplexArray]],
 ) -> float:
-    """Return the smallest objective of the loops of some clusters, with the mean of each for its eigenvalues."""
+    """Return the smallest objective over some loops, with each cluster of eigenvalues replaced by its mean."""
     lowest = np.inf
     for loop, values in spectra.items():
         apart, centres = np.ones(len(values), bool), []
@@ -244,7 +244,7 @@ def _reached(
 def _sums(
     problem: GainProblem, x: FloatArray, means: tuple[ActiveFunction, ...], places: list[complex]
 ) -> tuple[dict[tuple[int, int], ComplexArray], list[tuple[complex, ComplexArray]]]:
-    """Return the eigenvalues of the loops of some clusters at a design, and means and power sums of the clusters."""
+    """Return the eigenvalues of the loops of some clusters at a design, with means and power sums of the clusters."""
     spectra: dict[tuple[int, int], ComplexArray] = {}
     sums = []
     for mean, place in zip(means, places, strict=True):
@@ -265,7 +265,7 @@ _NO_CHANGE = 1e-10
 
 
 class GradientHull:
-    """Gradients of objective and limits, and bounds at which the design lies, in units of the gains.
+    """Gradients of objective and limits, and the bounds that are active at the design, in units of the gains.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ class GradientHull:
         return any(float(gradient @ direction) < enough for gradient in (*aims, *limits))
 
     def add_meeting(self, worse: tuple[FloatArray, float], free: list[tuple[FloatArray, float]]) -> None:
-        """Add functions that must not rise, and that must not change: gradient, and by how much it may all the same."""
+        """Add a function that must not rise and functions that must not change, each with its tolerated change."""
         rows = [(-worse[0], worse[1]), *free, *((-row, spread) for row, spread in free)]
         lengths = [float(np.linalg.norm(gradient * self.unit)) for gradient, _ in rows]
         for (gradient, spread), length in zip(rows, lengths, strict=True):
@@ -309,11 +309,11 @@ class GradientHull:
                 self._spreads.append(spread)
 
     def shortest(self) -> FloatArray:
-        """Return the shortest combination (d,); its direction is that of steepest ascent."""
+        """Return the shortest convex combination (d,); its direction is the direction of steepest ascent."""
         return self.combination()[0]
 
     def combination(self) -> tuple[FloatArray, float]:
-        """Return the shortest combination, and the rise by all that meetings may change."""
+        """Return the shortest convex combination, and the rise that the tolerated changes of power sums allow."""
         aims = np.array(self._aims).reshape(-1, len(self.unit)).T
         others = np.array(self._others).reshape(-1, len(self.unit)).T
         scale = max(self.steepest, 1e-300)
@@ -376,7 +376,7 @@ NO_CERTIFICATE = Certificate(np.inf, 0.0, np.inf)
 
 
 def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Certificate, FloatArray]:
-    r"""Return the certificate of a design, and a better design if one was found near it.
+    r"""Return the certificate of a design, and a better nearby design if the search for the certificate found one.
 
     A design is optimal to first order when zero lies in the set
 
@@ -434,7 +434,7 @@ def _bounds(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: float
 
 
 def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certificate:
-    """Return the best certificate by the gradients at the design, each with other eigenvalues that meet."""
+    """Return the best certificate by gradients at the design, over all groups of coalescing eigenvalues."""
     here = problem.functions(x)
     if not here.score.usable:
         return NO_CERTIFICATE
@@ -476,7 +476,7 @@ _Spread = tuple[FloatArray, float]
 
 
 def _spreads(one: Meeting, problem: GainProblem) -> tuple[_Spread, list[_Spread]]:
-    """Return the power sum whose rise lowers the objective, and the others."""
+    """Return the power sum whose rise lowers the objective, and all other power sums of the cluster."""
     slopes = one.cluster.powers_slope
     share = one.radius / max(abs(one.mean.place), 0.01 * problem.scale)
     largest = [2.0 * share**k for k in range(2, len(slopes) + 2)]
@@ -491,7 +491,7 @@ def _spreads(one: Meeting, problem: GainProblem) -> tuple[_Spread, list[_Spread]
 
 
 def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: float) -> tuple[Certificate, FloatArray]:
-    """Return the certificate by gradients from a ball, and a better design if there is one in it, else the same."""
+    """Return the certificate by gradients from a ball around a design, and a better design from the ball or `x`."""
     before, most = problem.evaluations.count, 20 + 5 * len(x)
     here = problem.functions(x, radius)
     if not here.score.usable:

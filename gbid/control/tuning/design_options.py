@@ -1,4 +1,4 @@
-"""Options of a design of gains that an experiment YAML has as well, and the sampling of its target."""
+"""Options of a design that `gbid.tune` and the experiment YAML have in common, and the sampling of the target."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sampling:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesignOptions:
-    """Options of `gbid.tune` that are keys of a design in the YAML as well; see `TuneOptions`."""
+    """Options of `gbid.tune` that are also keys of a design in the YAML; see `TuneOptions`."""
 
     peak_sensitivity: Positive | None = 2.6
     bounds: (

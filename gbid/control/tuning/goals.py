@@ -1,4 +1,4 @@
-"""Goal of a design: what it adds to the objective and the limits of a search."""
+"""Goals of a design: base classes, goals on modes and rms values, bounds over frequency, disturbance spectra."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from gbid.structure import LinearModel
 
 
 class Goal(ABC):
-    """Objective or limit of a design; see `gbid.tune`. Its arguments are checked by their types."""
+    """Objective or limit of a design; see `gbid.tune`. The annotations of the arguments define their checks."""
 
     def __post_init__(self) -> None:
         check_options(self, type(self).__name__)
@@ -42,12 +42,12 @@ class Goal(ABC):
             raise UsageError(f"{type(self).__name__}: low_hz = {low!r}, high_hz = {high!r}; give 0 <= low < high")
 
     def on(self, machine: MachineData) -> Goal:
-        """Return this goal with what it needs of a machine and does not give itself."""
+        """Return this goal, completed with numbers of a machine that the goal does not give."""
         return self
 
     @abstractmethod
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this goal.
+        """Return the given limits, extended by this goal.
 
         Parameters
         ----------
@@ -60,7 +60,7 @@ class Goal(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted(Goal):
-    """Base of the goals that are a limit or, with ``soft=True``, an objective.
+    """Base of the goals that are a limit by default and an objective with ``soft=True``.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Wanted(Goal):
 
     @abstractmethod
     def measure(self, plant: LinearModel) -> Measure:
-        """Return the measure of this goal with its weight.
+        """Return the quantity that this goal limits or minimises, with its weight.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class Wanted(Goal):
         """
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this goal among the objectives or the limits."""
+        """Return the given limits, extended by this goal as an objective or as a limit."""
         limit = getattr(self, "limit", None)
         if self.native and not self.soft and is_finite(limit):
             known = getattr(limits, self.native)
@@ -103,7 +103,7 @@ class Wanted(Goal):
         return replace(limits, **changed)
 
     def measures(self, plant: LinearModel) -> tuple[Measure, ...]:
-        """Return the measures of this goal: one, if it is not of each axis.
+        """Return the measures of this goal: one, or one for each axis.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Wanted(Goal):
 
 
 def limits_of(goals: Sequence[Goal], plant: LinearModel, machine: MachineData | None = None) -> Limits:
-    """Return objective and limits of a list of goals, with the mass and travel of a machine where they are known.
+    """Return objective and limits of a list of goals, completed with mass and travel of a machine if known.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
 
 
 def _gain(model: LinearModel) -> Bound:
-    """Return the gain of a model; next to its zero at rest and its poles without damping, where it is 0 or infinite."""
+    """Return the gain of a model as a bound; zero frequency and undamped poles are replaced by frequencies nearby."""
     places, poles = _places(model), np.linalg.eigvals(model.A)
     still = np.unique(np.abs(poles.imag[np.abs(poles.real) <= 1e-9 * np.abs(poles)])) / (2 * np.pi)
     scale = float(places[places > 0].min()) if places.any() else 1.0
@@ -227,7 +227,7 @@ _PLANAR = 0.05
 
 @dataclass(frozen=True)
 class ModeMeasure(Measure):
-    """Excess ``limit - value / weight`` of the modes in a band.
+    """Excess ``limit - value / weight`` of the modes in a frequency band.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class ModeMeasure(Measure):
         return np.asarray(np.where(self._counts(state), self._values(state), -np.inf).max(axis=1))
 
     def pieces(self, state: LoopState, window: float) -> Pieces:
-        """Return the modes near the limit."""
+        """Return the modes near the limit as smooth pieces with gradients."""
         T = state.family.sample_time
         every = self._values(state)
         upper = state.system.values.imag >= -REAL * np.abs(state.system.values)
@@ -305,7 +305,7 @@ class ModeMeasure(Measure):
 
 @dataclass(frozen=True, kw_only=True)
 class OfModes:
-    """Modes that count for a goal.
+    """Base of the goals on modes: selection by natural frequency and direction of whirl.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ class OfModes:
     whirl: Whirl = "both"
 
     def of_modes(self, name: str, limit: float, quantity: Quantity, weight: float, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of these modes."""
+        """Return the measure of the selected modes."""
         if self.whirl != "both" and len(plant.C) % 2:
             raise UsageError(
                 f"{type(self).__name__}: whirl = {self.whirl!r} of {len(plant.C)} outputs; x and y are needed"
@@ -332,13 +332,13 @@ class OfModes:
 
     @property
     def all_modes(self) -> bool:
-        """Whether all modes count."""
+        """Whether the goal selects all modes."""
         return (self.low_hz, self.high_hz, self.whirl) == (0.0, inf, "both")
 
 
 @dataclass(frozen=True)
 class MaxDamping(OfModes, Goal):
-    """Objective: the largest smallest damping factor of the oscillatory modes.
+    """Objective: maximise the smallest damping factor of the oscillatory modes.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ class MaxDamping(OfModes, Goal):
     weight: Positive = 1.0
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this objective."""
+        """Return the given limits with the smallest damping factor as objective."""
         if self.all_modes:
             _only_one(limits)
             return replace(limits, objective="damping", weight=1 / self.weight)
@@ -361,7 +361,7 @@ class MaxDamping(OfModes, Goal):
 
 @dataclass(frozen=True)
 class MaxDecay(Goal):
-    """Objective: the fastest slowest decay ``-Re`` of all poles [1/s].
+    """Objective: maximise the slowest decay ``-Re`` of all poles [1/s].
 
     Parameters
     ----------
@@ -372,7 +372,7 @@ class MaxDecay(Goal):
     weight: Positive = 1.0
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this objective."""
+        """Return the given limits with the slowest decay as objective."""
         _only_one(limits)
         return replace(limits, objective="decay", weight=1 / self.weight)
 
@@ -394,13 +394,13 @@ class MinDamping(OfModes, Wanted):
     limit: Annotated[Finite, Gt(-1), Lt(1), Allowed("a damping factor below 1")]
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the damping factors."""
         return self.of_modes("damping of modes", self.limit, "damping", self.weight, plant)
 
 
 @dataclass(frozen=True)
 class SlowestPole(OfModes, Wanted):
-    """Smallest decay rate ``-Re`` of the poles, real ones included, or of those in a band.
+    """Smallest decay rate ``-Re`` of all poles, real poles included, or of the poles in a band.
 
     Parameters
     ----------
@@ -415,11 +415,11 @@ class SlowestPole(OfModes, Wanted):
     rate: Annotated[NotNegative, Allowed("a rate of at least 0 in 1/s")]
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the decay rates."""
         return self.of_modes("slowest pole in the band", self.rate, "decay", self.weight, plant)
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this goal."""
+        """Return the given limits, extended by the smallest decay rate."""
         if self.soft or not self.all_modes:
             return super().add_to(limits, plant)
         return replace(limits, slowest_pole=max(limits.slowest_pole, self.rate))
@@ -427,7 +427,7 @@ class SlowestPole(OfModes, Wanted):
 
 @dataclass(frozen=True)
 class FastestPole(OfModes, Wanted):
-    """Largest magnitude of the poles over 2 pi, or of those in a band: with `MinDamping` and `SlowestPole` a region.
+    """Largest magnitude over 2 pi of all poles, or of the poles in a band; one side of a pole region.
 
     Parameters
     ----------
@@ -442,7 +442,7 @@ class FastestPole(OfModes, Wanted):
     hz: Positive
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the pole magnitudes."""
         return self.of_modes("fastest pole", self.hz, "frequency", self.weight, plant)
 
 
@@ -576,7 +576,7 @@ class RmsGoal(Wanted):
     label: ClassVar[str]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Return the measure of this goal."""
+        """Return the measure of the rms value."""
         given = self.disturbance
         if given.density.shape[1] != len(plant.C):
             raise UsageError(
@@ -635,7 +635,7 @@ class RmsPosition(RmsGoal):
 
 @dataclass(frozen=True)
 class RmsControl(RmsGoal):
-    """Rms of the reference r, the motion that the piezos are asked for, under a measured disturbance.
+    """Rms of the reference r, the motion that the controller demands from the piezos, under a measured disturbance.
 
     Parameters
     ----------
@@ -648,7 +648,7 @@ class RmsControl(RmsGoal):
 
 
 def _bands(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
-    """Return the edges of `_BANDS` bands [Hz] and the power in each (k, n, n).
+    """Return the edges of `_BANDS` frequency bands [Hz] and the power in each band (k, n, n).
 
     They are narrow where there is much power, and in proportion to the frequency: within a band the density counts as
     constant. They do not follow the resonances of a loop, which are integrated exactly within a band.
@@ -667,5 +667,5 @@ def _bands(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
 
 
 def _between(hz: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:
-    """Return values (k, n, n) at other frequencies, straight between the known ones."""
+    """Return values (k, n, n) at other frequencies by linear interpolation."""
     return np.asarray(scipy.interpolate.make_interp_spline(known, values, k=1)(hz))

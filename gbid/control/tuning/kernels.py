@@ -836,7 +836,7 @@ long peaks(long m, long n, long n_base, long n_extra, double least, long most, c
 
 @cache
 def kernels() -> Library | None:
-    """Return the compiled library; None without a C compiler. The same figures then come from LAPACK."""
+    """Return the compiled library; None without a C compiler: LAPACK then computes the values."""
     try:
         library = load_library(_SOURCE)
     except CompilerMissingError:
@@ -854,7 +854,7 @@ def kernels() -> Library | None:
 
 
 def compiled_eigenvalues(library: Library, A: FloatArray) -> ComplexArray | None:
-    """Return the eigenvalues (m, n) of matrices (m, n, n); None when some are not found, or without memory."""
+    """Return the eigenvalues (m, n) of matrices (m, n, n); None if the QR iteration fails or memory runs out."""
     A, values = np.ascontiguousarray(A), np.empty(A.shape[:2], complex)
     return values if library.spectra(*values.shape, A.ctypes.data, values.ctypes.data) > 0 else None
 
@@ -862,7 +862,7 @@ def compiled_eigenvalues(library: Library, A: FloatArray) -> ComplexArray | None
 def compiled_eigensystems(
     library: Library, A: FloatArray, longest: float
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-    """Return eigenvalues (m, n), right eigenvectors as columns and left ones as rows; None when some are not found.
+    """Return eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows; None if one fails.
 
     Those of a defective matrix are no longer than `longest`, with right ones of length one.
     """
@@ -874,7 +874,7 @@ def compiled_eigensystems(
 
 
 def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:
-    """Return the Schur form of a finite matrix (n, n) as `compiled_cluster` takes it; None when it is not found."""
+    """Return the Schur form of a finite (n, n) matrix for `compiled_cluster`; None if the QR iteration fails."""
     n, A = len(A), np.ascontiguousarray(A)
     form = np.empty(2 * n * n + (n + 1) // 2 + n, complex)
     return form if library.schur_form(n, A.ctypes.data, form.ctypes.data) > 0 else None
@@ -889,7 +889,7 @@ def compiled_cluster(
     rate: float,
     farthest: float,
 ) -> tuple[ComplexArray, ...] | None:
-    """Return eigenvalues, mean, its derivatives, power sums and theirs for the cluster nearest to a place.
+    """Return the cluster of eigenvalues nearest to a point: values, mean and power sums, with the gradients of both.
 
     Parameters
     ----------

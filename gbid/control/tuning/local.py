@@ -101,7 +101,7 @@ _RIDGES = (1e-9, 1e-6, 1e-4)
 
 @dataclass(frozen=True)
 class RidgeStep:
-    """Move of the gains, the promised gain in merit, and the weights of the active functions and of the power sums."""
+    """Step of the gains, its predicted gain in merit, and the weights of active functions and power sums."""
 
     move: FloatArray
     gain: float
@@ -120,7 +120,7 @@ def ridge_step(
     box: tuple[FloatArray, FloatArray],
     penalty: float,
 ) -> RidgeStep | None:
-    """Return the solution of the quadratic programme for the move (in units of the box) and for t and s.
+    """Return the step of the gains (in units of the box) that solves the quadratic programme for the move, t and s.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def ridge_step(
 
 
 def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState]) -> FloatArray:
-    """Return the convex part of the curvature (d, d) of the functions that determined the step to a design.
+    """Return the convex part of the curvature (d, d) of the functions that determined the last step.
 
     Where eigenvalues met at its end, it is that of the Lagrangian along the gains with which they stay together.
     Without it the next steps zigzag across the valleys of this surface.
@@ -230,7 +230,7 @@ def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Seq
 def _slopes_of_meetings(
     problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState] = ()
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gradient of the weighted means and power sums of a step's meetings, and that of each power sum."""
+    """Return the gradient of the weighted means and power sums of a step's clusters, and of each power sum."""
     states, slope, rows = states or problem.states(x), np.zeros_like(x), []
     for meeting in step.group:
         mean = meeting.mean
@@ -253,7 +253,7 @@ def _convex(H: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class LocalOptimum:
-    """Local optimum: gains, score, iterations, whether the optimisation ended by itself, and its certificate."""
+    """Local optimum: gains, score, number of iterations, whether the search converged, and its certificate."""
 
     x: FloatArray
     score: Score
@@ -264,7 +264,7 @@ class LocalOptimum:
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """Effort of a local search, what its optimum must be to have a use, and when it ends.
+    """Options of a local search: effort, conditions on a useful optimum, and stopping rules.
 
     The last seven decide between time and certainty: `docs/benchmarks.md` has the designs of ten seeds and their times.
 
@@ -322,7 +322,7 @@ class LocalOptions:
     coalescence_loss: float = 1e-3
 
     def known_at(self, x: FloatArray, reached: float) -> LocalOptimum | None:
-        """Return the known optimum to which a design of some merit leads back; None where there is none."""
+        """Return the known optimum to which a design of a given merit leads back; None without such an optimum."""
         for optimum in self.known:
             if reached <= merit(optimum.score) and (np.abs(x - optimum.x) <= self.near).all():
                 return optimum
@@ -430,7 +430,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
 
 
 def repaired(problem: GainProblem, design: LocalOptimum, options: LocalOptions = LocalOptions()) -> LocalOptimum:
-    """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
+    """Return a design near a given one with smaller or no violation of limits, found with a larger penalty."""
     near = replace(options, radius=1e-3, iterations=40, penalty=1e3 * PENALTY, repair=False)
     again = optimise_locally(problem, design.x, near)
     return replace(again, iterations=design.iterations + again.iterations)

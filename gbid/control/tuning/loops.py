@@ -1,4 +1,4 @@
-"""Closed loops as functions of the gains, at many operating points at once: matrices and their derivatives."""
+"""Closed loops at many operating points as functions of the gains: matrices and their derivatives."""
 
 from __future__ import annotations
 
@@ -89,13 +89,13 @@ class Loops:
         return all(np.isfinite(M).all() for M in (self.B, self.C, self.D))
 
     def of(self, loops: IntArray) -> Self:
-        """Return some of the loops."""
+        """Return the loops with the given indices."""
         return type(self)(*(getattr(self, entry.name)[loops] for entry in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class Derivatives(Loops):
-    """Matrices of m loops, and the derivatives of ``[[A, B], [C, D]]`` by d gains as products ``left core right``.
+    """Matrices of m loops, and derivatives of ``[[A, B], [C, D]]`` by d gains as products ``left core right``.
 
     Gains change a loop by the few signals of its controller only, so that these factors are small.
 
@@ -166,7 +166,7 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
 
 
 class Unmoved(NamedTuple):
-    """What no gain within the bounds moves, see `gbid.control.tuning.reach`.
+    """Stable modes that no gain within the bounds moves, and gains that move no mode; see `gbid.control.tuning.reach`.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class Unmoved(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LoopFamily(ABC):
-    """Loops of equal size with common gains.
+    """Loops with matrices of equal size and common gains.
 
     Parameters
     ----------
@@ -220,21 +220,21 @@ class LoopFamily(ABC):
 
     @abstractmethod
     def core(self, gains: FloatArray) -> FloatArray:
-        """Return the core of the derivatives (m, d, k, l); that of all loops, if it is one, once."""
+        """Return the core of the derivatives (m, d, k, l); m is 1 if the core is equal for all loops."""
 
     def bend(self, gains: FloatArray, steps: FloatArray) -> FloatArray:
-        """Return derivatives (m, d, d, k, l) of the core of the derivatives, by differences of given steps (d,)."""
+        """Return derivatives (m, d, d, k, l) of the core by the gains, by differences with given steps (d,)."""
         near = np.stack(list(map(self.core, gains + np.diag(steps))), axis=1)
         return np.asarray((near - self.core(gains)[:, None]) / steps[:, None, None, None])
 
     def states(self, gains: FloatArray, loops: slice = slice(None)) -> FloatArray:
-        """Return A of some loops (m, n, n)."""
+        """Return the system matrices A of the chosen loops (m, n, n)."""
         return self.matrices(gains).A[loops]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FunctionLoops(LoopFamily):
-    """Loops whose matrices are functions of the gains.
+    """Loops whose matrices are given CasADi functions of the gains.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ class FunctionLoops(LoopFamily):
         return Loops(A if self.unmoved is None else A + self.unmoved.shift, *others)
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
-        """Return the matrices with their derivatives, which stand between unit matrices."""
+        """Return the matrices with their derivatives; left and right factors are unit matrices."""
         loops, core = self.matrices(gains), self.core(gains)
         rows, columns = core.shape[2:]
         left, right = (np.broadcast_to(M, (len(core), *M.shape)) for M in map(np.eye, (rows, columns)))
@@ -276,7 +276,7 @@ class FunctionLoops(LoopFamily):
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
-    """Return families of given functions from gains to A, or to A, B, C, D: one family for loops of equal sizes.
+    """Return families of loops from functions of the gains to A, or to A, B, C, D: one family for each size.
 
     Raises
     ------
@@ -299,7 +299,7 @@ def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFam
 
 
 def _outputs(function: ca.Function, i: int, n: int) -> tuple[int, int]:
-    """Return the numbers of disturbances and outputs of a function to A, B, C, D; zero of a function to A alone."""
+    """Return the numbers of disturbances and outputs of a function to A, B, C, D; (0, 0) for a function to A only."""
     if function.n_out() == 1:
         return 0, 0
     sizes = [function.size_out(j) for j in range(function.n_out())]
@@ -338,7 +338,7 @@ class PlantMatrices(Loops):
 
     @classmethod
     def stacked(cls, models: Sequence[LinearModel]) -> PlantMatrices:
-        """Return models as stacked matrices of equal size.
+        """Return models of equal size as stacked matrices.
 
         Smaller models get additional states without connection. They decay fast, at different rates, so that the closed
         loop stays diagonalisable.
@@ -354,7 +354,7 @@ class PlantMatrices(Loops):
         return cls(A, B, C, np.array([model.D for model in models]))
 
     def delayed(self, delay_s: float) -> PlantMatrices:
-        """Return the plants with all inputs delayed, by Padé filters whose states follow those of the plant."""
+        """Return the plants with all inputs delayed by Padé filters, whose states follow the states of the plant."""
         if not delay_s:
             return self
         filters, each = pade_delay(delay_s, PADE_ORDER), np.eye(self.B.shape[2])
@@ -378,7 +378,7 @@ _Number = TypeVar("_Number", np.float64, np.complex128)
 
 
 def inverses(matrices: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
-    """Return inverses; not finite where there is none: an algebraic loop without solution, a pole at z = -1."""
+    """Return inverses of matrices; NaN or infinite for a singular matrix (algebraic loop, pole at z = -1)."""
     try:
         return np.asarray(np.linalg.inv(matrices), matrices.dtype)
     except np.linalg.LinAlgError:
@@ -415,7 +415,7 @@ class ControllerLaw:
 
     @classmethod
     def of(cls, structure: Structure | Scheduled, shape: tuple[int, int], held_s: float | None = None) -> ControllerLaw:
-        """Return the law of a structure with given numbers of outputs and inputs.
+        """Return the control law of a structure with given numbers of outputs and inputs.
 
         Raises
         ------
@@ -447,7 +447,7 @@ class ControllerLaw:
         return cls(n, function, jacobian, scheduled, held_s)
 
     def at(self, points: FloatArray) -> tuple[DirectCall, DirectCall]:
-        """Return K and its derivatives as functions of the gains, at points (m, 2) where K depends on them."""
+        """Return K and its derivatives as functions of the gains, at points (m, 2) if K depends on them."""
         where = points.T if self.scheduled else np.zeros((2, 1))
         m, g = where.shape[1], ca.MX.sym("gains", self.function.size1_in(0))
         arguments = ca.repmat(g, 1, m), ca.DM(where)
@@ -456,7 +456,7 @@ class ControllerLaw:
         return values, DirectCall(calls[1], m, values)
 
     def in_plane(self, K: FloatArray) -> FloatArray:
-        r"""Return K (m, ., .), with held inputs if it has them, in the plane of the search.
+        r"""Return K (m, ., .) in the plane of the search, with held inputs for zero-order hold.
 
         With :math:`M = \begin{pmatrix} A & B \\ 0 & 0 \end{pmatrix}` the matrices of the state are
         :math:`(2/T) \tanh(M T/2)`, those of the output ``[C, D]`` minus ``T/2 C`` times them.
@@ -468,7 +468,7 @@ class ControllerLaw:
         return np.concatenate([top, K[..., n:, :] - T / 2 * K[..., n:, :n] @ top], axis=-2)
 
     def slopes_in_plane(self, K: FloatArray, dK: FloatArray) -> FloatArray:
-        """Return the derivatives (m, d, ., .) of `in_plane` from those of K."""
+        """Return the derivatives (m, d, ., .) of `in_plane` by the gains, from the derivatives of K."""
         T, n = self.held_s, self.n_states
         if T is None:
             return dK
@@ -523,7 +523,7 @@ class Ports(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WholePlants:
-    """Plants with all their channels, of which a controller drives some inputs and measures some outputs.
+    """Plants with all their channels; a controller drives some inputs and measures some outputs.
 
     Parameters
     ----------
@@ -542,7 +542,7 @@ class WholePlants:
     measured: tuple[str, ...]
 
     def along(self, path: Path) -> tuple[PlantMatrices, Ports]:
-        """Plants with the channels of the controller, and disturbances and outputs of a path.
+        """Plants with the channels of the controller, and the disturbances and outputs of a path.
 
         Raises
         ------
@@ -629,7 +629,7 @@ class ControlLoops(LoopFamily):
 
     @cached_property
     def _frame(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """S_0, L, R and E, all (m, ., .)."""
+        """Matrices of the loop that do not depend on the gains: S_0, L, R and E, each (m, ., .)."""
         plants, k = self.plants, self.law.n_states
         m, n, n_r = plants.B.shape
         n_p = plants.C.shape[1]
@@ -651,11 +651,11 @@ class ControlLoops(LoopFamily):
         return rest[:, kept], left[:, kept], right, through
 
     def states(self, gains: FloatArray, loops: slice = slice(None)) -> FloatArray:
-        """Return A of some loops (m, n, n)."""
+        """Return the system matrices A of the chosen loops (m, n, n)."""
         return self.matrices(gains, loops).A
 
     def matrices(self, gains: FloatArray, loops: slice = slice(None)) -> Loops:
-        """Return the matrices of some loops."""
+        """Return the matrices of the chosen loops."""
         K, (rest, left, right, E) = self.law.in_plane(self._calls[0](gains)[0]), self._frame
         if loops != slice(None):
             K = K[loops] if self.law.scheduled else K
@@ -677,6 +677,6 @@ class ControlLoops(LoopFamily):
         return Derivatives(loops.A, loops.B, loops.C, loops.D, left, core, right, E)
 
     def core(self, gains: FloatArray) -> FloatArray:
-        """Return the derivatives of the controller."""
+        """Return the derivatives of the controller matrices by the gains."""
         values, slopes = self._calls
         return self.law.slopes_in_plane(values(gains)[0], slopes(gains)[0])

@@ -34,7 +34,7 @@ _NEAR = 0.9
 
 @dataclass(frozen=True)
 class Peaks:
-    """Local maxima over frequency: index of the loop, angular frequency [rad/s] and height, all (k,)."""
+    """Local maxima over frequency: index of the loop, angular frequency [rad/s] and height, each (k,)."""
 
     loop: IntArray
     frequency: FloatArray
@@ -66,7 +66,7 @@ class ModalResponse:
         self._suspect = ~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT)
 
     def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
-        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops whose modes may have no use."""
+        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of the loops with inaccurate modal sums."""
         for loop in np.flatnonzero(self._suspect).tolist():
             self._form(loop)
         return self._poles, self._residues, self._D, self._forms
@@ -116,7 +116,7 @@ class ModalResponse:
 
     @cached_property
     def _useless(self) -> BoolArray:
-        """Which loops have no use of their modes."""
+        """Mask of the loops whose sum over modes is too inaccurate (m,)."""
         useless = np.zeros(len(self._suspect), bool)
         if self._suspect.any():
             loops = np.flatnonzero(self._suspect)
@@ -139,7 +139,7 @@ class ModalResponse:
         return np.asarray((resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None])
 
     def _error(self, loops: IntArray) -> FloatArray:
-        """Return the relative error of the responses of some loops at two frequencies, from a direct solution."""
+        """Return the relative error of the modal sums of some loops at two frequencies, against a direct solution."""
         size = np.sort(np.abs(self._poles[loops]), axis=1)
         frequency = size[:, [size.shape[1] // 4, size.shape[1] // 2]]
         A, B, C = self._loops.A[loops], self._loops.B[loops], self._loops.C[loops][:, self._rows]
@@ -184,7 +184,7 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 
 def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
-    """Return the largest singular value at each frequency."""
+    """Return the largest singular value of the response at each frequency."""
     return np.minimum(largest_singular_values(responses), HIGHEST)
 
 
@@ -253,7 +253,7 @@ def find_peaks(
 
 
 def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return place and height of the parabola through three points; where it has no top between them, the highest."""
+    """Return position and height of the parabola's vertex through three points; outside them the highest point."""
     before, here, after = values.T
     bend, rise = 2 * here - before - after, (after - before) / 2
     share = np.clip(rise / np.where(bend > 0, bend, np.inf), -1.0, 1.0)
@@ -265,7 +265,7 @@ def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[F
 
 
 def base_frequencies(values: ComplexArray, per_decade: int = _PER_DECADE) -> FloatArray:
-    """Return 0 and 1 to 1e5 rad/s with logarithmic spacing, and farther for loops on another time scale.
+    """Return 0 and logarithmically spaced 1 to 1e5 rad/s, extended for loops with slower or faster modes.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def around(values: ComplexArray) -> FloatArray:
 
 
 def _grid(modes: Eigensystem, base: FloatArray, extra: tuple[IntArray, FloatArray] | None) -> FloatArray:
-    """Return ascending frequencies for each loop (m, f) [rad/s]."""
+    """Return the ascending frequencies of each loop (m, f) [rad/s]."""
     m, n = modes.values.shape
     n_extra = 0 if extra is None else len(extra[0])
     grid = np.zeros((m, len(base) + 2 * n + n_extra))
@@ -312,7 +312,7 @@ def _grid(modes: Eigensystem, base: FloatArray, extra: tuple[IntArray, FloatArra
 
 
 def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArray, FloatArray]:
-    """Return derivatives (k, d) of the largest singular value by the gains at fixed frequency, and its value (k,).
+    """Return derivatives (k, d) of the largest singular value by the gains at fixed frequencies, and the values (k,).
 
     At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
     second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = [C R, I] d[[A, B], [C, D]] [R B; I]``.

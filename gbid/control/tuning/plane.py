@@ -1,4 +1,4 @@
-"""Eigenvalues of loops: rates and damping of modes, eigenvectors, clusters of eigenvalues, derivatives by the gains.
+"""Eigenvalues of loops and their derivatives by the gains: rates, damping, eigenvectors, clusters.
 
 The loops of a sampled design are given by their bilinear transform, so that their stable region is the left half-plane.
 """
@@ -52,7 +52,7 @@ def true_rates(values: ComplexArray, sample_time: float | None) -> ComplexArray:
 
 
 def rate_slopes(values: ComplexArray, sample_time: float | None) -> ComplexArray:
-    """Return the derivative of `true_rates` by the eigenvalue in the plane of the search, of the same shape."""
+    """Return the derivative of `true_rates` by the eigenvalue in the plane of the search, shape of the input."""
     if sample_time is None:
         return np.ones_like(values)
     half = values * sample_time / 2
@@ -67,14 +67,14 @@ def true_frequencies(frequency: FloatArray, sample_time: float | None) -> FloatA
 
 
 def searched_frequencies(frequency: FloatArray, sample_time: float | None) -> FloatArray:
-    """Return angular frequencies in the plane of the search of true ones [rad/s]; the inverse of `true_frequencies`."""
+    """Return angular frequencies in the plane of the search from true ones [rad/s]; inverse of `true_frequencies`."""
     if sample_time is None:
         return frequency
     return np.asarray(2 / sample_time * np.tan(frequency * sample_time / 2))
 
 
 def brevity(rates: ComplexArray, sample_time: float | None) -> FloatArray:
-    """Return 0 for modes that last longer than a sample, rising to 1 for those shorter than 0.8 of a sample.
+    """Weight of fast modes: 0 for modes that last longer than a sample, rising to 1 below 0.8 of a sample.
 
     Modes that last shorter than a sample do not count in `gbid.control.smallest_damping`, because they do not oscillate
     visibly. The objective of a search must be continuous, so they fade out.
@@ -104,7 +104,7 @@ _LONGEST = 1e18
 
 
 def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
-    """Return the damping factors ``-Re/|.|`` of oscillatory modes; 1 for real ones.
+    """Return the damping factors ``-Re/|.|`` of oscillatory modes; 1 for real poles.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> Fl
 
 
 def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
-    """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
+    """Return the derivatives (k, d) of damping factors from derivatives of continuous-time eigenvalues."""
     magnitude = np.abs(rates)[:, None]
     along = (rates.conj()[:, None] * slopes).real
     by_gains = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
@@ -133,7 +133,7 @@ def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float
 
 
 def _decomposed(decompose: Callable[[FloatArray], Any], A: FloatArray) -> tuple[Any, BoolArray]:
-    """Return the decompositions of those matrices (m, n, n) that have one, and which these are (m,)."""
+    """Return eigendecompositions for the decomposable matrices among (m, n, n), and the mask of these matrices (m,)."""
     usable = np.asarray((np.abs(A) < LARGEST).all(axis=(1, 2)))  # a comparison with NaN is false
     try:
         return decompose(A if usable.all() else A[usable]), usable
@@ -147,7 +147,7 @@ def _decomposed(decompose: Callable[[FloatArray], Any], A: FloatArray) -> tuple[
 
 
 def _with_gaps(parts: npt.NDArray[Any], usable: BoolArray) -> ComplexArray:
-    """Return an array for all matrices from that of the usable ones, NaN for the others."""
+    """Return an array for all matrices: the values of the decomposed ones, NaN for all others."""
     if usable.all():
         return parts.astype(complex, copy=False)
     every = np.full((len(usable), *parts.shape[1:]), np.nan, complex)
@@ -215,14 +215,14 @@ class Eigensystem:
         return left
 
     def slopes(self, loops: IntArray, which: IntArray, derivatives: Derivatives) -> ComplexArray:
-        """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``."""
+        """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with left and right eigenvectors, ``w v = 1``."""
         return derivatives.along(loops, self.left[loops, which], self.right[loops, :, which])
 
     @np.errstate(divide="ignore", invalid="ignore")  # equal eigenvalues have no second derivatives
     def curvature(
         self, loops: IntArray, which: IntArray, derivatives: Derivatives, bend: FloatArray
     ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return chosen eigenvalues, first (k, d) and second (k, d, d) derivatives, see `Derivatives.second`."""
+        """Return chosen eigenvalues with first (k, d) and second (k, d, d) derivatives; see `Derivatives.second`."""
         values, row = self.values[loops], np.arange(len(loops))
         gaps = values[row, which][:, None] - values
         gaps[row, which] = np.inf
@@ -240,7 +240,7 @@ _FARTHEST = 1e8
 
 @dataclass(frozen=True)
 class Cluster:
-    """Cluster of k eigenvalues of one loop: mean, and power sums of their distances from it, with derivatives.
+    """Cluster of k eigenvalues of one loop: mean, power sums of the distances from the mean, and derivatives.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Cluster:
 
 
 def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:
-    """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
+    """Return mean and power sums of eigenvalues, see `Cluster`; rounding of single eigenvalues hardly changes them."""
     size = len(values)
     mean = complex(values.sum() / size)
     powers = np.multiply.accumulate(np.broadcast_to((values - mean) / rate, (size, size)))

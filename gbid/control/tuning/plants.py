@@ -121,7 +121,7 @@ class Uncertainty(Brief):
         return np.vstack([nominal, *drawn])
 
     def _deviations(self, points: FloatArray) -> list[FloatArray]:
-        """Return the deviations (m, 14) of each draw."""
+        """Return the deviations of the parameters of each draw (m, 14)."""
         if self.samples is not None:
             samples = np.asarray(self.samples, float)
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
@@ -277,7 +277,7 @@ FEW_LOOPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Plants(ABC):
-    """Plants with one controller structure, whose loops have common gains.
+    """Plants of a design with one controller structure and common gains.
 
     Parameters
     ----------
@@ -306,11 +306,11 @@ class Plants(ABC):
 
     @property
     def continuous(self) -> Self:
-        """The same plants in continuous time."""
+        """These plants in continuous time."""
         return replace(self, sampling=None)
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at points (m, 2), or some of them, without the modes that no gain moves."""
+        """Loops at points (m, 2), all or chosen ones, without the modes that no gain moves."""
         family = self._loops(points, which)
         return family if self.box is None else with_unmoved(family, *self.box)
 
@@ -349,7 +349,7 @@ class Plants(ABC):
         budget: Evaluations,
         few: bool = False,
     ) -> GainProblem:
-        """Design problem of the loops at the points; of many loops only those with which a search starts, if `few`."""
+        """Design problem of the loops at the points; with `few`, of the loops with which a search starts."""
         families = (self.family(self.points),)
         scale, linear = typical_rate(families, middle), self.gain_limits(self.points, lower, upper)
         if few and len(families[0]) > FEW_LOOPS:
@@ -363,16 +363,16 @@ class Plants(ABC):
     @property
     @abstractmethod
     def plant(self) -> LinearModel:
-        """One of the plants in continuous time."""
+        """Plant in continuous time that represents all plants: the plant at the first point, or the first model."""
 
     @property
     @abstractmethod
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
+        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
 
     @abstractmethod
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, Sequence[str]]:
-        """Every plant at every point, as rows that begin with the point, and their names."""
+        """Every plant at every point as rows that begin with the point, and the names of the rows."""
 
     @abstractmethod
     def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
@@ -380,7 +380,7 @@ class Plants(ABC):
 
     @abstractmethod
     def whole_plants(self, scenarios: FloatArray) -> WholePlants:
-        """Continuous plants with all their channels; of an LPV model with a force on the rotor in each direction."""
+        """Continuous plants with all their channels; plants of an LPV model also with forces on the rotor as inputs."""
 
     @abstractmethod
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
@@ -393,7 +393,7 @@ class Plants(ABC):
     def gain_limits(
         self, points: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> tuple[tuple[str, FloatArray, float], ...]:
-        """Bounds of scheduled gains at the points, as rows over the coefficients in units of their width.
+        """Bounds of scheduled gains at the points, as rows over the coefficients in units of their range.
 
         They are those of the structure, or those of the constant coefficient where these reach farther.
         """
@@ -441,7 +441,7 @@ class LpvPlants(Plants):
     def of(
         cls, lpv: LPVModel, structure: Structure | Scheduled, options: TuneOptions, others: tuple[LPVModel, ...] = ()
     ) -> LpvPlants:
-        """Plants of a model with the options of a design."""
+        """Return the plants of an LPV model for the options of a design."""
         lpv, points = _with_actuators(lpv, options.actuator), _points(lpv, options.operating_points)
         return cls(
             structure,
@@ -461,7 +461,7 @@ class LpvPlants(Plants):
 
     @cached_property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
+        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
         every = (self.lpv, *self.others)
         return tuple(
             min(slowest_mode(lpv.at(float(P), float(Omega)).poles(), self.unmoved) for lpv in every)
@@ -469,7 +469,7 @@ class LpvPlants(Plants):
         )
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Every plant at every point (m, 2) or (m, 16), and their names."""
+        """Every plant at every point (m, 2) or (m, 16), and the names of the plants."""
         scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
         if self.others and points.shape[1] == 2:
             known, *further = (lpv.key_parameters(*points.T) for lpv in (self.lpv, *self.others))
@@ -485,7 +485,7 @@ class LpvPlants(Plants):
 
     @cached_property
     def _function(self) -> ca.Function:
-        """From pressure, speed and a deviation of each key parameter to A, B, C and D of the plant."""
+        """Function from pressure, speed and deviations of the key parameters to A, B, C and D of the plant."""
         s = ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
         key = self.lpv.key_parameters(s[0], s[1])
         values = {**self.lpv.actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
@@ -503,7 +503,7 @@ class LpvPlants(Plants):
         return PlantMatrices(*(M.reshape(len(M), m, -1).transpose(1, 0, 2) for M in parts)).delayed(self.delay_s)
 
     def whole_plants(self, scenarios: FloatArray) -> WholePlants:
-        """Continuous plants with forces f_x, f_y on the rotor as further inputs; per mass when the mass is not known.
+        """Continuous plants with forces f_x, f_y on the rotor as further inputs, per mass if the mass is unknown.
 
         The names of the forces are those of the outputs with ``f`` in place of ``p``.
         """
@@ -535,7 +535,7 @@ class LpvPlants(Plants):
             ) from None
 
     def first(self, points: FloatArray) -> list[int]:
-        """Points nearest to the corners of the operating range."""
+        """Return the indices of the points nearest to the corners of the operating range."""
         low, high = points.min(axis=0), points.max(axis=0)
         unit = (points - low) / np.where(high > low, high - low, 1.0)
         places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
@@ -549,7 +549,7 @@ _FIRST = 4
 
 @dataclass(frozen=True, eq=False)
 class ModelPlants(Plants):
-    """Plants given as models; a point is the lowest pressure of a schedule, the speed, and the index of the model.
+    """Plants given as models; each point is the lowest pressure of a schedule, the speed and the model's index.
 
     Parameters
     ----------
@@ -567,16 +567,16 @@ class ModelPlants(Plants):
 
     @property
     def plant(self) -> LinearModel:
-        """First of the models."""
+        """First model."""
         return self.models[0]
 
     @property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay of the oscillatory modes of each open loop that a gain moves [1/s]."""
+        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
         return tuple(slowest_mode(model.poles(), self.unmoved) for model in self.models)
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Points, and the names of their models."""
+        """Points, and the names of the models."""
         labels = [self.models[int(i)].name for i in points[:, 2]]
         if len(set(labels)) < len(labels):
             labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 2], strict=True)]
@@ -604,11 +604,11 @@ class ModelPlants(Plants):
         return WholePlants(plants, first.input_names, first.output_names, *channels)
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
-        """Model, sampled with exact delays."""
+        """Model of a scenario, sampled with exact delays."""
         return sample_plant(self.models[int(scenario[2])], sampling.sample_time, sampling.computation_s)
 
     def first(self, points: FloatArray) -> list[int]:
-        """Return some models, evenly among all."""
+        """Return evenly spaced indices of some models."""
         return sorted({round(i) for i in np.linspace(0, len(points) - 1, _FIRST)})
 
 
@@ -667,7 +667,7 @@ def checked_models(
 
 
 def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
-    """Places of the wanted channels among the names of a model; by default all.
+    """Return the positions of the wanted channels among the channel names of a model; all by default.
 
     Raises
     ------
@@ -686,7 +686,7 @@ def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequen
 
 
 def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: TuneOptions) -> LpvPlants | ModelPlants:
-    """Plants of a design.
+    """Return the plants of a design from an LPV model, a fit, a linear model, or a list of these.
 
     Raises
     ------
@@ -748,7 +748,7 @@ def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVM
 
 
 def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
-    """Linear models of one entry of a list: one for each operating point of an LPV model."""
+    """Return the linear models of one list entry: for an LPV model one for each operating point."""
     if isinstance(given, LPVModel):
         machine = _with_actuators(given, options.actuator)
         plant_at = machine.plant_at if options.sampling is None else partial(exact_plant, machine)
@@ -763,7 +763,7 @@ def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
 
 
 def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) -> FloatArray:
-    """Return operating points (m, 2), checked against the domain; of a whole domain its corners and middles."""
+    """Return operating points (m, 2), checked against the domain; by default corners and middles of the domain."""
     if isinstance(given, str):
         (p0, p1), (w0, w1) = lpv.domain.pressure_bar, lpv.domain.speed_rpm
         return np.array([(p, w) for p in (p0, (p0 + p1) / 2, p1) for w in (w0, (w0 + w1) / 2, w1)])
@@ -781,7 +781,7 @@ def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) ->
 
 
 def slowest_mode(poles: ComplexArray, unmoved: Sequence[complex] = ()) -> float:
-    """Return the slowest decay [1/s] of the oscillatory modes, negative when one is unstable; some do not count."""
+    """Return the slowest decay [1/s] of the oscillatory modes without the `unmoved` ones; negative if unstable."""
     pairs = poles[~is_real(poles)]
     for rate in unmoved:
         other = np.abs(pairs.real + 1j * np.abs(pairs.imag) - rate) > 1e-6 * abs(rate)

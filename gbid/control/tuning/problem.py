@@ -77,7 +77,7 @@ class LoopState:
         return self.loops
 
     def cluster(self, loop: int, place: complex, size: int, least_rate: float) -> Cluster | None:
-        """Return the eigenvalues of a loop nearest to a place in the complex plane; None when they are not separate.
+        """Return the cluster of a loop's eigenvalues nearest to a complex number; None if they are not separate.
 
         The Schur form of each loop is computed once. The unit of distances is the magnitude of the place, and no less
         than `least_rate` [rad/s].
@@ -88,7 +88,7 @@ class LoopState:
 
 
 class Pieces(NamedTuple):
-    """Smooth pieces of a measure: loop (k,), excess (k,), its gradient (k, d), place in the complex plane (k,)."""
+    """Smooth pieces of a measure: loop (k,), excess (k,), gradient (k, d), position in the complex plane (k,)."""
 
     loop: IntArray
     excess: FloatArray
@@ -97,7 +97,7 @@ class Pieces(NamedTuple):
 
 
 class Measure(ABC):
-    """Quantity of each loop. Its excess is at most 0 where it is within its limit, and larger is worse."""
+    """Quantity of each loop that a design limits: its excess is at most 0 within the limit, and positive beyond."""
 
     name: str
 
@@ -129,7 +129,7 @@ class ExtraLimit(Measure):
     limit: float
 
     def excess(self, state: LoopState) -> FloatArray:
-        """Return the logarithm of the numbers over the limit (m,)."""
+        """Return the logarithm of each loop's value over the limit (m,)."""
         return self._of(state.family, state.gains)
 
     def pieces(self, state: LoopState, window: float) -> Pieces:
@@ -184,7 +184,7 @@ class Limits:
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        """Additional limits and objectives."""
+        """Measures that are limits or objectives in addition to the fields."""
         return (*self.extra, *self.soft)
 
     @property
@@ -215,7 +215,7 @@ UNUSABLE = Score(-np.inf, np.inf)
 
 @dataclass(frozen=True)
 class ActiveFunction:
-    """Smooth function near the worst one: name (kind, family, loop), value, gradient, place in the complex plane.
+    """Active function of a design: name (kind, family, loop), value, gradient, position in the complex plane.
 
     For ``"cluster"`` it is the objective of the mean of `size` eigenvalues.
     """
@@ -248,7 +248,7 @@ PENALTY = 10.0
 
 
 def merit(score: Score, penalty: float = PENALTY) -> float:
-    """Return the merit to be maximised: objective minus a penalty on the largest violation."""
+    """Return the merit that the search maximises: objective minus a penalty on the largest violation."""
     return score.value - penalty * score.violation if score.usable else -np.inf
 
 
@@ -260,7 +260,7 @@ WINDOW = 0.3
 
 
 class Cut(NamedTuple):
-    """Frequency [rad/s] of a peak between those of the grid, which an exact norm has located."""
+    """Frequency [rad/s] of a peak between the grid frequencies, located by an exact norm."""
 
     kind: str
     family: int
@@ -270,7 +270,7 @@ class Cut(NamedTuple):
 
 @dataclass(eq=False)
 class Evaluations:
-    """Number of designs that a search has evaluated so far, and the number or time at which it ends (None: by itself).
+    """Number of designs evaluated so far, and the number and time at which the search ends (None: no limit).
 
     The times are those of `time.monotonic`: that of the search, and that of the checks of its design.
     """
@@ -282,26 +282,26 @@ class Evaluations:
 
     @classmethod
     def of(cls, most: int | None, seconds: float | None) -> Evaluations:
-        """Return a budget from now on; a fifth of the time, and at least what is left of a second, is for checks."""
+        """Return a new budget; a fifth of the time, and at least the rest of one second, is reserved for checks."""
         now, time = monotonic(), seconds or inf
         return cls(0, most, now + 0.8 * time, now + max(time, 1.0))
 
     def of_checks(self, most: int | None = None) -> Evaluations:
-        """Return the budget of the checks of a design."""
+        """Return the budget for the checks of a design."""
         return Evaluations(self.count, self.most if most is None else self.count + most, self.last, self.last)
 
     @property
     def over(self) -> bool:
-        """Whether the time is over."""
+        """Whether the time of the search has passed."""
         return self.until < inf and monotonic() >= self.until
 
     @property
     def late(self) -> bool:
-        """Whether the time of the checks is over, too."""
+        """Whether the time of the checks has passed as well."""
         return self.last < inf and monotonic() >= self.last
 
     def half(self) -> Evaluations:
-        """Return a budget of half of what is left."""
+        """Return a budget with half of the remaining effort."""
         most = None if self.most is None else (self.count + self.most) // 2
         return Evaluations(self.count, most, (monotonic() + self.until) / 2)
 
@@ -313,7 +313,7 @@ class Evaluations:
 
 @dataclass(frozen=True, eq=False)
 class GainProblem:
-    """Design problem: loops, limits and bounds. Problems that are made from it by `replace` share its evaluations.
+    """Design problem: loops, limits and bounds. Copies made by `replace` count evaluations in common.
 
     Parameters
     ----------
@@ -344,11 +344,11 @@ class GainProblem:
 
     @property
     def slowest(self) -> float:
-        """Rate that every eigenvalue must exceed [1/s], so that a tolerated violation leaves a stable loop."""
+        """Smallest decay rate of every eigenvalue [1/s], so that a tolerated violation still leaves a stable loop."""
         return max(self.limits.slowest_pole, (STABLE + FEASIBLE) * self.scale)
 
     def score(self, x: FloatArray, worst: float = -np.inf, some: Sequence[IntArray] | None = None) -> Score:
-        """Return the score of one design, without its peaks when its objective is below `worst`.
+        """Return the score of one design; peaks are skipped if its objective is below `worst`.
 
         By some loops of each family it is a bound, and counts for no evaluation.
         """
@@ -382,11 +382,11 @@ class GainProblem:
 
     @property
     def uses_responses(self) -> bool:
-        """Whether frequency responses, or other quantities besides the eigenvalues, are limited."""
+        """Whether the design limits frequency responses or other quantities besides eigenvalues."""
         return self.limits.has_responses or bool(self.limits.measures)
 
     def state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
-        """Return the loops of a family for given gains, as measures take them."""
+        """Return the loops of a family for given gains, in the form that measures take."""
         step = 1e-5 * (self.upper - self.lower)
         inwards = np.where(x + step > self.upper, -step, step)
         return LoopState(family, x, loops, inwards, system)
@@ -397,14 +397,14 @@ class GainProblem:
 
     @property
     def edge(self) -> float:
-        """Growth above which a pole is unstable [1/s].
+        """Growth rate above which a pole counts as unstable [1/s].
 
         Half of the tolerance is for rounding: a design at the limit is computed again by another method.
         """
         return -(STABLE / 2) * self.scale
 
     def growth(self, x: FloatArray) -> float:
-        """Return the largest growth of a pole of all loops [1/s]; infinite when a pole is not finite."""
+        """Return the largest growth rate over the poles of all loops [1/s]; infinite if a pole is not finite."""
         rates = [true_rates(eigenvalues(family.states(x)), family.sample_time).real for family in self.families]
         return max(float(np.where(np.isfinite(rate), rate, np.inf).max()) for rate in rates)
 
@@ -430,7 +430,7 @@ class GainProblem:
         return SearchStep(stage, self.evaluations.count, self.in_units(score.value), score.violation)
 
     def functions(self, x: FloatArray, window: float = WINDOW) -> ActiveFunctions:
-        """Return all functions within a window of the worst one at a design, with gradients.
+        """Return all functions within a window of the worst function at a design, with gradients.
 
         A window of zero leaves the worst one of the objective and the limits that do not hold.
         """
@@ -492,7 +492,7 @@ class GainProblem:
     def _of_values(
         self, kind: str, f: int, values: ComplexArray, slopes: ComplexArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return objective or excess of the slowest pole for eigenvalues of a family (k,), and their gradients."""
+        """Return the objective, or the excess of the slowest pole, of eigenvalues of a family (k,), with gradients."""
         T, weight = self.families[f].sample_time, self.limits.weight
         rates, slopes = true_rates(values, T), slopes * rate_slopes(values, T)[:, None]
         if kind == "pole":
@@ -502,12 +502,12 @@ class GainProblem:
         return -weight * rates.real / self.scale, -weight * slopes.real / self.scale
 
     def mean_of(self, f: int, cluster: Cluster) -> tuple[float, FloatArray]:
-        """Return the objective of the mean of a cluster of eigenvalues of a family, and its gradient."""
+        """Return the objective at the mean of a cluster of eigenvalues, and its gradient."""
         numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
         return float(numbers[0]), gradients[0]
 
     def cluster(self, states: Sequence[LoopState], family: int, loop: int, place: complex, size: int) -> Cluster | None:
-        """Return the eigenvalues of a loop nearest to a place, at the design of the states; see `LoopState.cluster`."""
+        """Return the eigenvalues of a loop nearest to a point of the complex plane; see `LoopState.cluster`."""
         return states[family].cluster(loop, place, size, 0.01 * self.scale)
 
     def curvature(
@@ -556,7 +556,7 @@ class GainProblem:
         return total
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
-        """Return measures of a design in each loop of a family, larger is worse (n, m).
+        """Return objective and excesses of a design for each loop of a family (n, m); larger is worse.
 
         The first row is minus the objective. The others are the excess of the slowest pole and of each limited
         response over their limits. The family need not be one of the problem.
@@ -602,7 +602,7 @@ class GainProblem:
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:
-    """Return the rows of the outputs that belong to a kind of response."""
+    """Return the rows of the loop outputs for one kind of response."""
     return slice(family.n_outputs, None) if kind == "control" else slice(0, family.n_outputs)
 
 

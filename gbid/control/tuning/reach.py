@@ -1,4 +1,4 @@
-"""Reach of the gains: modes that no gain moves, and gains that move no mode, by derivatives of the eigenvalues."""
+"""Reach of the gains: modes that no gain moves and gains that move no mode, found by eigenvalue derivatives."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SAMPLES, _BLOCK, _NEAR = 3, 2_000_000, 1e-5
 
 
 def with_unmoved(family: LoopFamily, lower: FloatArray, upper: FloatArray, limits: Limits, scale: float) -> LoopFamily:
-    """Return a family whose stable modes that no gain moves have left its eigenvalues, with their names.
+    """Return a family without the stable modes that no gain moves; `unmoved` lists these modes.
 
     Such a mode is no part of any transfer function between the controller's signals, so that a change of its eigenvalue
     changes nothing else: it becomes two fast real poles. A mode stays if it breaks a limit by itself, and all stay if
@@ -80,7 +80,7 @@ def with_unmoved(family: LoopFamily, lower: FloatArray, upper: FloatArray, limit
 
 
 def _shift(system: Eigensystem, fixed: np.ndarray, sample_time: float | None) -> FloatArray:
-    """Return what makes modes of loops fast and real when it is added to A: (m, n, n)."""
+    """Return matrices (m, n, n) that, added to A, make given modes fast and real."""
     shift = np.zeros_like(system.A)
     for i in np.unique(np.nonzero(fixed)[0]):
         fastest, count = 4 * np.abs(system.values[i]).max(), 0

@@ -45,7 +45,7 @@ from gbid.structure import LinearModel
 
 
 class LoopResponse(Enum):
-    """LoopResponse from a disturbance on p, as (factor on S_o, factor on the unit matrix, whether K S_o is meant)."""
+    """Response to a disturbance on p, as (factor on S_o, factor on the unit matrix, whether K S_o replaces S_o)."""
 
     SENSITIVITY = (1.0, 0.0, False)
     COMPLEMENTARY = (-1.0, 1.0, False)
@@ -91,7 +91,7 @@ class ResponseMeasure(Measure):
         return np.asarray(np.log(self.weight * np.maximum(highest, 1e-300)))
 
     def pieces(self, state: LoopState, window: float) -> Pieces:
-        """Return the peaks near the limit."""
+        """Return the peaks near the limit as smooth pieces with gradients."""
         peaks = self._peaks(state)
         keep = self.weight * peaks.value > np.exp(-window)
         loop, place, value = peaks.loop[keep], peaks.frequency[keep], peaks.value[keep]
@@ -120,7 +120,7 @@ class ResponseMeasure(Measure):
         return find_peaks(loops, state.system, slice(None), self._places(state), size)
 
     def _places(self, state: LoopState) -> tuple[IntArray, FloatArray]:
-        """Return loops and frequencies of the search at which peaks are looked for: of the bound, and around modes."""
+        """Return loops and frequencies at which the search for peaks starts: of the bound, and around modes."""
         T, m = state.family.sample_time, len(state.family)
         true = 2 * np.pi * self.bound.places_hz
         frequencies = searched_frequencies(true if T is None else true[true < 0.999 * np.pi / T], T)
@@ -130,7 +130,7 @@ class ResponseMeasure(Measure):
         return loops, np.concatenate([np.tile(frequencies, m), modes.ravel()])
 
     def _of_response(self, loops: Loops, n_outputs: int) -> Loops:
-        """Return the loops with this response as their only outputs."""
+        """Return the loops with this response as their only output."""
         factor, unit, control = self.response.value
         rows = slice(n_outputs, None) if control else slice(0, n_outputs)
         columns = slice(None)
@@ -149,7 +149,7 @@ class ResponseMeasure(Measure):
 
     @staticmethod
     def _scaled(loops: Derivatives, frequency: FloatArray) -> Derivatives:
-        """Return 2 x 2 responses, each scaled so that its off-diagonal entries at its frequency have equal magnitude.
+        """Return 2 x 2 responses, scaled so that both off-diagonal entries have equal magnitude.
 
         The largest singular value is then the structured one, with the same gradient (margins.py).
         """
@@ -191,7 +191,7 @@ class ResponseGoal(Wanted):
         bound_over_frequency(self.limit, f"{type(self).__name__}: limit")
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the largest singular value."""
         bound = bound_over_frequency(self.limit, type(self).__name__)
         return ResponseMeasure(f"{self.label} over frequency", self.response, bound, weight=self.weight)
 
@@ -242,7 +242,7 @@ class PeakComplementary(ResponseGoal):
 
 @dataclass(frozen=True)
 class RollOff(Wanted):
-    """Control effort K S_o that falls above a frequency, over three decades or up to half the sample rate.
+    """Control effort K S_o with a bound that falls above a frequency, over three decades or to half the sampling rate.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ class RollOff(Wanted):
     slope_db: Annotated[NotNegative, Le(200), Allowed("0 to 200 dB per decade")] = 20.0
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the control effort above the frequency."""
         places = self.from_hz * (1 + 1e-9) * np.geomspace(1.0, 1e3, 25)
         bound = Bound(self._bound, places)
         return ResponseMeasure("roll-off of K S_o", LoopResponse.CONTROL, bound, weight=self.weight)
@@ -287,7 +287,7 @@ class StaticAmplification(Wanted):
     native = "static_amplification"
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of S_o at zero frequency."""
 
         def at_rest(hz: FloatArray) -> FloatArray:
             return np.where(hz == 0, self.limit, 1e300)
@@ -318,7 +318,7 @@ class MinDiskMargin(Wanted):
     channel: int | None = None
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the disk margin."""
         n = len(plant.C)
         if self.channel is not None and self.channel not in range(n):
             raise UsageError(
@@ -331,7 +331,7 @@ class MinDiskMargin(Wanted):
 
 @dataclass(frozen=True)
 class AxisSensitivity(ResponseGoal):
-    """Peak of the sensitivity of each measured axis with the other axes closed, ``|S_ii|``, as in ISO 14839-3.
+    """Peak of the sensitivity ``|S_ii|`` of each measured axis with all other axes closed, as in ISO 14839-3.
 
     Zone A of ISO 14839-3 is ``AxisSensitivity(gbid.control.ISO_LIMITS["A"])``.
 
@@ -383,7 +383,7 @@ class PathMeasure(ResponseMeasure):
         return super().excess(self._along(state))
 
     def pieces(self, state: LoopState, window: float) -> Pieces:
-        """Return the peaks near the limit, or the response at the multiples of the speed."""
+        """Return smooth pieces: the peaks near the limit, or the responses at multiples of the speed."""
         return super().pieces(self._along(state), window)
 
     def _along(self, state: LoopState) -> LoopState:
@@ -434,7 +434,7 @@ class PathGoal(Wanted):
 
     @property
     def path(self) -> Path:
-        """Names of the signals.
+        """Names of the signals from and to which the response is taken.
 
         Raises
         ------
@@ -485,7 +485,7 @@ class PeakResponse(PathGoal):
         self.measure(None)
 
     def measure(self, plant: LinearModel | None) -> PathMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the response."""
         bound = bound_over_frequency(self.limit, "PeakResponse: limit")
         edges = np.array([self.low_hz * (1 + 1e-9), self.high_hz * (1 - 1e-9)])
         places = np.union1d(bound.places_hz, edges[(edges > 0) & (edges < np.inf)])
@@ -502,7 +502,7 @@ class PeakResponse(PathGoal):
 
 @dataclass(frozen=True)
 class RmsResponse(PathGoal):
-    """Rms of some signals together under a spectrum of others, such as of positions under a force.
+    """Rms of some signals under a spectrum of other signals, for example of positions under a force.
 
     Parameters
     ----------
@@ -520,7 +520,7 @@ class RmsResponse(PathGoal):
     spectrum: Annotated[DisturbanceSpectrum, Allowed("DisturbanceSpectrum(frequency_hz, density)")]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Return the measure of this goal."""
+        """Return the measure of the rms value."""
         if (n := self.spectrum.density.shape[1]) != len(self.path.sources):
             raise UsageError(f"RmsResponse: the spectrum has {n} channels for {len(self.path.sources)} sources")
         return ExtraLimit(self.title("rms"), rms_under(self.spectrum, path=self.path), self.limit / self.weight)
@@ -537,7 +537,7 @@ _NONE = 1e-6
 
 
 class _Crossings(NamedTuple):
-    """Loop, channel, frequency in the plane of the search [rad/s] and used share of a margin of each crossing (k,)."""
+    """Crossings (k,): loop, channel, frequency in the plane of the search [rad/s], used share of the margin."""
 
     loop: IntArray
     channel: IntArray
@@ -547,7 +547,7 @@ class _Crossings(NamedTuple):
 
 @dataclass(frozen=True)
 class MarginMeasure(Measure):
-    """Excess ``log(weight * share)`` of the share of a margin that each loop alone uses up, with exact gradients.
+    """Excess ``log(weight * share)`` of the share of a margin that each loop alone uses, with exact gradients.
 
     Parameters
     ----------
@@ -573,7 +573,7 @@ class MarginMeasure(Measure):
         return np.asarray(np.log(self.weight * shares))
 
     def pieces(self, state: LoopState, window: float) -> Pieces:
-        """Return the crossings near the limit."""
+        """Return the crossings near the limit as smooth pieces with gradients."""
         every = self._crossings(state)
         loop, channel, w, share = (part[self.weight * every.share > np.exp(-window)] for part in every)
         near, row = state.derivatives.of(loop), np.arange(len(loop))
@@ -600,7 +600,7 @@ class MarginMeasure(Measure):
         return np.asarray(np.abs(L) - 1 if self.is_phase else L.imag)
 
     def _share(self, L: ComplexArray) -> FloatArray:
-        """Return the share of the margin that is used up at a crossing."""
+        """Return the share of the margin that is used at a crossing."""
         if self.is_phase:
             return np.asarray(self.required / np.maximum(np.abs(np.angle(L)), 1e-9))
         tolerated = np.abs(np.log(np.maximum(np.abs(L), 1e-12)))
@@ -612,7 +612,7 @@ class MarginMeasure(Measure):
         return _Crossings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def _of_channel(self, state: LoopState, channel: int) -> _Crossings:
-        """Return the crossings of one channel, located by iteration, and the loop gain at rest where it is one."""
+        """Return the crossings of one channel, found by iteration; a crossing at zero frequency is included."""
         loops, system = state.loops, state.system
         response = ModalResponse(loops, system, slice(0, state.family.n_outputs))
 
@@ -640,7 +640,7 @@ class MarginMeasure(Measure):
 
 @dataclass(frozen=True)
 class MinGainMargin(Wanted):
-    """Factors on the gain of each loop alone that it must tolerate: from ``1 / factor`` to ``factor``.
+    """Gain margin of each loop alone: it must be stable for gains from ``1 / factor`` to ``factor``.
 
     Parameters
     ----------
@@ -653,13 +653,13 @@ class MinGainMargin(Wanted):
     factor: Annotated[Finite, Gt(1)]
 
     def measure(self, plant: LinearModel) -> MarginMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the gain margin."""
         return MarginMeasure("gain margin", float(np.log(self.factor)), False, self.weight)
 
 
 @dataclass(frozen=True)
 class MinPhaseMargin(Wanted):
-    """Phase of either sign that each loop alone must tolerate.
+    """Phase margin of each loop alone, for phase lag and phase lead.
 
     Parameters
     ----------
@@ -672,12 +672,12 @@ class MinPhaseMargin(Wanted):
     degrees: Annotated[Positive, Lt(180), Allowed("a number between 0 and 180")]
 
     def measure(self, plant: LinearModel) -> MarginMeasure:
-        """Return the measure of this goal."""
+        """Return the measure of the phase margin."""
         return MarginMeasure("phase margin", radians(self.degrees), True, self.weight)
 
 
 def _roots(value_at: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return where a function falls through zero between ends (k,), by Ridders's method with as many bisections."""
+    """Return the falling zero of a function between each pair of ends (k,), by Ridders's method."""
     at_low, at_high, x = value_at(low), value_at(high), (low + high) / 2
     for _ in range(_RIDDERS if len(low) else 0):
         middle = (low + high) / 2
@@ -757,12 +757,12 @@ class PiezoTravel(Wanted):
     travel_m: Positive | None = None
 
     def on(self, machine: MachineData) -> PiezoTravel:
-        """Return this goal with moving mass and travel of a machine where it gives none."""
+        """Return this goal with the moving mass and travel of a machine if the goal has none."""
         travel = machine.piezo_travel_m if self.travel_m is None else self.travel_m
         return replace(self, impact=self.impact.on(machine), travel_m=travel)
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Measure of this goal; the entry of a force is the same for all plants.
+        """Return the measure of the stack motion; all plants have an equal force input.
 
         Raises
         ------
@@ -809,7 +809,7 @@ def _peaks(values: ComplexArray, outputs: ComplexArray, inputs: ComplexArray, le
 
 
 def _modes(values: ComplexArray, time: FloatArray, length: float) -> ComplexArray:
-    r"""Return the solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, then of the free motion."""
+    r"""Return the modal solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, then of the free motion."""
     w = pi / length
     during, later = np.minimum(time, length), np.maximum(time - length, 0.0)
     forced = w * (np.exp(values * during) - np.cos(w * during)) - values * np.sin(w * during)

@@ -1,4 +1,4 @@
-"""Result of a search for gains."""
+"""Result of a search for gains, verified by eigenvalues, exact norms and the distance to instability."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operatin
 
 
 class GainStatus(StrEnum):
-    """Why a search for gains ended."""
+    """Reason why a search for gains ended."""
 
     OPTIMAL = "optimal"
     """All limits hold, the design is a certified local optimum, and other starts lead to no better one.
@@ -78,13 +78,13 @@ class WorstMode:
         return cls(where, abs(rate) / (2 * np.pi), -rate.real / abs(rate) if rate else 0.0)
 
     def value(self, objective: Objective) -> float:
-        """Return its damping factor, or its decay [1/s], whichever the `objective` is."""
+        """Return damping factor or decay [1/s] of the mode, as the `objective` says."""
         return self.damping if objective == "damping" else 2 * np.pi * self.frequency_hz * self.damping
 
 
 @dataclass(frozen=True)
 class GoalFigure:
-    """What a design reached of one of its goals.
+    """Value that a design reached for one of its goals.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class GainResult(Brief):
 
     @property
     def optimality(self) -> str:
-        """What the status claims: a local optimum or less, and of how many independent searches it is the best."""
+        """Text on optimality: certified local optimum or not, and how many independent searches agree."""
         local = "local optimum, certified" if self.success else "no certified optimum"
         n = len(self.seed_values)
         if not n:
@@ -320,7 +320,7 @@ def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
 
 
 def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
-    """Return the mode that limits a design: an unstable pole, otherwise that of smallest damping or slowest decay."""
+    """Return the mode that limits a design: an unstable pole, else the mode with smallest damping or slowest decay."""
     worst: tuple[float, str, complex] | None = None
     for family in problem.families:
         values = true_rates(eigenvalues(family.states(x)), family.sample_time)

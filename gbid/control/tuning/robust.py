@@ -1,4 +1,4 @@
-"""Performance of a design on drawn plants, one by one."""
+"""Robust design: damping that holds with a stated probability on drawn plants, and the price of robustness."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ HOLDS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PlantDraws(Brief):
-    """Performance of a design on drawn plants, each the worst of the operating points.
+    """Performance of a design on drawn plants: for each plant its worst value over the operating points.
 
     Attributes
     ----------
@@ -57,11 +57,11 @@ class PlantDraws(Brief):
 
     @property
     def keeps_limits(self) -> FloatArray:
-        """Whether each plant keeps all limits, as 0 or 1 (n,)."""
+        """Whether each plant satisfies all limits, as 0 or 1 (n,)."""
         return (self.violation <= HOLDS).astype(float)
 
     def share(self, value: float) -> float:
-        """Return the share of plants that reach a value and keep all limits.
+        """Return the share of plants that reach a value and satisfy all limits.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class PlantDraws(Brief):
         return float(((self.value >= value - 1e-9) & (self.violation <= HOLDS)).mean())
 
     def promised(self, probability: float, confidence: float) -> float:
-        """Return the value that a plant reaches with a probability, at a confidence, whatever the distribution.
+        """Return the value that a plant reaches with a probability, at a confidence level, for any distribution.
 
         It is the k-th smallest value of the draws. That a share of at least `probability` of all plants reaches it has
         the confidence ``P(Binomial(n, 1 - probability) >= k)``. Minus infinity when there are too few draws.
@@ -99,7 +99,7 @@ _FRESH_SEED = 7919
 
 @dataclass(frozen=True, eq=False)
 class RobustDesign(Brief):
-    """Design for plants drawn from an uncertainty.
+    """Design for random plants, with its performance on fresh draws.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class RobustDesign(Brief):
 
     @property
     def holds(self) -> bool:
-        """Whether the promise is finite and the limits hold with the stated probability at this confidence."""
+        """Whether the promised value is finite and the limits hold with the stated probability and confidence."""
         return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
 
     def _brief(self) -> Description:
@@ -267,7 +267,7 @@ _Drawn = tuple[PlantsLike, RobustOptions]
 def _drawn_surfaces(
     lpv: LPVModel, known: Uncertainty, options: RobustOptions, n: int, seed: int, chosen: tuple[int, ...] | None
 ) -> _Drawn:
-    """Return a model with the chosen ones of n draws of its surfaces, or with all n."""
+    """Return a model with chosen random draws of its surfaces, or with all n draws."""
     drawn = None if chosen == () else replace(known, draws=n, seed=seed, chosen=chosen)
     return lpv, replace(options, uncertainty=drawn)
 
@@ -275,7 +275,7 @@ def _drawn_surfaces(
 def _drawn_fits(
     fits: tuple[PlantLike, ...], options: RobustOptions, n: int, seed: int, chosen: tuple[int, ...] | None
 ) -> _Drawn:
-    """Return fits with the models of the chosen ones of n draws of their parameters, or of all n."""
+    """Return fits with models of chosen random draws of their parameters, or of all n draws."""
     rng = np.random.default_rng(seed)
     every = [drawn_models(fit, n, rng) for fit in fits]
     taken = range(n) if chosen is None else chosen
@@ -291,7 +291,7 @@ def on_draws(
     gains: Mapping[str, float],
     n: int,
 ) -> PlantDraws:
-    """Return the performance of gains on n drawn plants, without the nominal one.
+    """Return the performance of gains on n drawn plants, without the nominal plant.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def on_draws(
 
 
 def drawn_models(fit: PlantLike, n: int, rng: np.random.Generator) -> list[LinearModel]:
-    """Return n models of a fit, drawn from the covariance of its parameters to first order; of a model n times itself.
+    """Return n models of a fit, drawn from the parameter covariance to first order; a plain model is repeated n times.
 
     Raises
     ------
@@ -375,7 +375,7 @@ def _plant_and_uncertainty(model: LPVFit | LPVModel, options: RobustOptions) -> 
 
 @dataclass(frozen=True, eq=False)
 class PriceOfRobustness(Brief):
-    """Robust designs for rising probabilities, beside what the nominal design promises.
+    """Robust designs for rising probabilities, with the predicted performance of the nominal design.
 
     Attributes
     ----------
@@ -399,7 +399,7 @@ class PriceOfRobustness(Brief):
 
     @property
     def promised(self) -> tuple[float, ...]:
-        """Objective that each design promises with its probability."""
+        """Objective that each design reaches with its probability."""
         return tuple(design.promised for design in self.designs)
 
     def _brief(self) -> Description:

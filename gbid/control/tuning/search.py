@@ -24,7 +24,7 @@ from gbid.core.option_types import Count, CountOrZero, check_options
 
 
 def better(one: Score, other: Score) -> bool:
-    """Return whether a design is better than another: first by the limits, then by the objective."""
+    """Return whether a design is better than another: feasibility first, objective second."""
     kept = one.violation <= FEASIBLE, other.violation <= FEASIBLE
     if kept[0] != kept[1]:
         return kept[0]
@@ -156,7 +156,7 @@ GRID = {1: 61, 2: 25, 3: 9}
 
 
 def on_grid(n_gains: int, options: SearchOptions) -> bool:
-    """Return whether a search begins with a grid over the whole box, which no seed changes."""
+    """Return whether the search starts with a grid over the whole box, which does not depend on the seed."""
     return n_gains in GRID and options.starts is None
 
 
@@ -184,13 +184,13 @@ class LocalSearch:
 
     @property
     def free(self) -> bool:
-        """Whether only eigenvalues count; few gains need no help."""
+        """Whether only eigenvalues are limited and the gains are too many for a grid."""
         limits = self.problem.limits
         limited = limits.has_responses or limits.measures or self.problem.linear
         return len(self.unit) not in GRID and not limited
 
     def short(self, start: FloatArray, target: float, again: bool = False) -> LocalOptimum:
-        """Return a better design near a start by few evaluations, fewer where a target is out of reach.
+        """Improve a start by a short local search; with only eigenvalues limited, by a full one.
 
         It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
         """
@@ -200,14 +200,14 @@ class LocalSearch:
         return self._stable_end(start, start, replace(effort, target=target, pace=self.options.pace))
 
     def full(self, start: FloatArray, target: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
-        """Return a local optimum, or a known one if it leads back to that; less good where it misses a target."""
+        """Return a local optimum, or the known one to which the search leads back; stop early below a target."""
         if self.free:  # eigenvalues that have met creep along a curved surface; no target tells how far
             return self._stable_end(start, start, LocalOptions(iterations=2 * self.options.full))
         effort = LocalOptions(iterations=self.options.full, target=target, pace=self.options.pace, known=known)
         return self._stable_end(start, start, replace(effort, near=self.options.neighbours * self.unit))
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
-        """Return the local optimum after a random move of some size; less good where it will not be better."""
+        """Return the local optimum after a random step of a given size; stop early if it cannot be better."""
         width = np.maximum(self.unit, np.abs(best.x)) if self.free else self.problem.upper - self.problem.lower
         start = best.x + size * rng.standard_normal(len(best.x)) * width
         effort = LocalOptions(self.options.hop_radius, 60)
@@ -217,7 +217,7 @@ class LocalSearch:
         return self._stable_end(start, best.x, effort)
 
     def _stable_end(self, start: FloatArray, stable: FloatArray, effort: LocalOptions) -> LocalOptimum:
-        """Return the end of a local search; a design with stable loops in place of one with unstable ones.
+        """Return the end of a local search; if its loops are unstable, a design with stable loops.
 
         The violation of an unstable loop is that of its slowest pole, and may be smaller than that of a peak.
         """
@@ -227,7 +227,7 @@ class LocalSearch:
         return LocalOptimum(stable, self.problem.score(stable), end.iterations, False)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
-        """Return a certified design by local searches with short steps from one without, or else the best of them.
+        """Return a certified design by local searches with short steps; without success the best design found.
 
         A local search along a narrow ridge may creep and end early: those with other first steps do not. One of them
         begins with the gains at the bounds that they are next to.
@@ -251,7 +251,7 @@ class LocalSearch:
         return self._certified[key]
 
     def settled(self, finals: list[LocalOptimum]) -> bool:
-        """Return whether three of the best designs have the same value and the best one is certified."""
+        """Return whether three of the best designs have equal values and the best design is certified."""
         best = best_of(finals)
         return sum(_same(one.score, best.score, self.options.agreeing) for one in finals) > 2 and self.certified(best)
 
@@ -262,7 +262,7 @@ Note = Callable[[str, LocalOptimum], None]
 
 
 def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
-    """Move the best design at random, then others as long as the best one cannot be trusted.
+    """Basin hopping from the best design, then from other designs while the best one has no certificate.
 
     It cannot where it has no certificate. One other design is moved where the moves of the best one led nowhere.
     """
@@ -284,7 +284,7 @@ def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator
 
 
 def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, note: Note) -> LocalOptimum:
-    """Move a design at random and optimise again, until a number of moves in a row were in vain or came back."""
+    """Basin-hopping steps from one design, until several steps in a row fail or return to known optima."""
     options, vain, returned = local.options, 0, 0
     sizes = options.free_hop_sizes if local.free else options.hop_sizes
     for i in range(options.hops):
@@ -338,7 +338,7 @@ WIDE = 8.0
 
 
 def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: int, seed: int) -> list[FloatArray]:
-    """Return random starts around the neutral gains, each moved or climbed to where its loops are stable.
+    """Return random starts around the neutral gains, each moved to gains with stable loops if possible.
 
     Their distances from the neutral gains lie between the units of the gains and the widths of the bounds, with a
     logarithmic distribution. So bounds that are far too wide still leave starts where loops can be stable.
@@ -377,7 +377,7 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
 
 
 def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray) -> FloatArray:
-    """Return the first point whose loops are stable; else an ascent from that of slowest growth, wherever it ends.
+    """Return the first point with stable loops; else the end of an ascent from the point of slowest growth.
 
     The ascent minimises the sum of squares of the rates of all poles that do not decay fast enough. Unlike the largest
     rate, it is smooth where poles change places and moves all unstable poles at once.
@@ -418,7 +418,7 @@ _BEHIND_GAIN_GRID = 0.1
 
 
 def grid_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: int, most: int) -> list[FloatArray]:
-    """Return the best points of a grid that are not neighbours, best first.
+    """Return the best points of a grid that are not neighbours, sorted by merit.
 
     They are more than the local maxima of the grid, because along a limit the grid would miss optima. The merit in one
     loop, without peaks, is an upper bound and cheap; the merit in some loops is a tighter one. All loops are computed
@@ -471,7 +471,7 @@ def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArra
 
 
 def _axis(low: float, middle: float, high: float, unit: float, n: int) -> FloatArray:
-    """Return n nodes over the bounds; between wide bounds they are denser near the middle."""
+    """Return n grid values between bounds; between wide bounds they are denser near the middle."""
     if high - low <= WIDE * unit:
         return np.linspace(low, high, n)
     ends = np.arcsinh((low - middle) / unit), np.arcsinh((high - middle) / unit)
@@ -488,7 +488,7 @@ _TRIED = 64
 def usable_start(
     families: Sequence[LoopFamily], given: Sequence[FloatArray], lower: FloatArray, upper: FloatArray, seed: int
 ) -> FloatArray:
-    """Return the first of given gains, or else of random ones, for which all loops have finite eigenvalues.
+    """Return the first gains for which all loops have finite eigenvalues: given gains first, then random ones.
 
     Raises
     ------
@@ -506,7 +506,7 @@ def usable_start(
 
 
 def typical_rate(families: Sequence[LoopFamily], x: FloatArray) -> float:
-    """Return the geometric mean of the magnitudes of the eigenvalues, which is the unit of rates.
+    """Return the geometric mean of the magnitudes of the eigenvalues, the unit of rates.
 
     Raises
     ------
@@ -581,7 +581,7 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
 
 
 def reach_of_bounds(problem: GainProblem) -> float:
-    """Return the largest movement of an eigenvalue, in typical rates, when one gain goes from its middle to a bound."""
+    """Return the largest eigenvalue movement, in typical rates, by one gain from the middle of its range to a bound."""
     middle, reach = (problem.lower + problem.upper) / 2, 0.0
     for family in problem.families:
         before = eigenvalues(family.states(middle))
@@ -596,7 +596,7 @@ LEAST_REACH = 1e-3 * _MOVED
 
 
 def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:
-    """Return the largest distance of a new eigenvalue from the nearest old one; infinite when it is not finite."""
+    """Return the largest distance of a new eigenvalue from its nearest old eigenvalue; infinite if not finite."""
     if np.isnan(after).any():
         return np.inf
     distance = np.abs(after[:, :, None] - before[:, None, :]).min(axis=2)
@@ -608,7 +608,7 @@ def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:
 
 @dataclass(frozen=True)
 class GainSolution:
-    """Best design of a problem, with the problem as it was at the end (its cuts), and the history.
+    """Best design of a problem, the problem with its final cuts, and the history of the search.
 
     Of a search also the different designs with which it ended.
     """
@@ -630,7 +630,7 @@ class GainSolution:
 
     @property
     def reached(self) -> float:
-        """Value of a design that keeps its limits; NaN for another one."""
+        """Value of a feasible design; NaN for an infeasible design."""
         return self.best.score.value if self.stable and self.best.score.violation <= FEASIBLE else np.nan
 
     @property
@@ -639,7 +639,7 @@ class GainSolution:
         return self.stable, self.best.score.violation <= FEASIBLE, rank(self.best)
 
     def noted(self, stage: str, progress: Progress | None) -> GainSolution:
-        """Return this solution with one more step of its history, of which `progress` is told, too."""
+        """Return this solution with one more step in its history; the callback `progress` receives the step."""
         step = self.problem.step(stage, self.best.score)
         if progress is not None:
             progress(step)

@@ -1,4 +1,4 @@
-"""Solution of a design problem: search, checks of its design, exchange of loops, independent searches, summary."""
+"""Solution of a design problem: search, exact checks, exchange of loops, independent searches, result."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _improve(problem: GainProblem, known: GainSolution, task: SearchTask) -> Gai
 
 
 def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
-    """Return a design whose peaks exceed no limit between the grid frequencies, either, with its certificate."""
+    """Return a certified design whose peaks exceed no limit, also between the grid frequencies."""
     budget = solution.problem.evaluations
     checks = budget.of_checks()
     solution = replace(solution, problem=replace(solution.problem, evaluations=checks))
@@ -103,12 +103,12 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
 
 
 def _with_reserve(problem: GainProblem) -> GainProblem:
-    """Return the problem with a small budget of designs for a repair, within the time of the checks."""
+    """Return the problem with a small budget of evaluations for a repair, within the time of the checks."""
     return replace(problem, evaluations=problem.evaluations.of_checks(_REPAIR))
 
 
 def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
-    """Return a design with faster decay where all poles are real, so that other gains have the damping 1 as well."""
+    """Return the design of fastest decay near a design whose objective has reached its largest value."""
     limits = problem.limits
     plateau = limits.weight * (1 - 1e-9)
     if limits.objective != "damping" or limits.soft or not limits.weight or design.score.value < plateau:
@@ -126,7 +126,7 @@ def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOpti
 
 
 def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTask) -> LocalOptimum:
-    """Return a stable design in place of an unstable one, where there are stable ones.
+    """Return a stable design in place of an unstable one; the unstable design if no stable design is found.
 
     The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones, and a
     pole that hardly grows costs less merit than the last of the damping is worth.
@@ -145,7 +145,7 @@ def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTa
 
 
 def _certified(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
-    """Return a design with its certificate; where the certificate finds a better one near it, that one."""
+    """Return a design with its certificate; a better nearby design if the certificate finds one."""
     unit = gain_units(problem, design.x)
     for _ in range(_CERTIFICATES):
         certificate, x = certify(problem, design.x, np.maximum(unit, np.abs(design.x)))
@@ -194,7 +194,7 @@ _ROUNDS = 20
 
 
 def solve_over_points(plants: Plants, problem: GainProblem, task: SearchTask) -> GainSolution:
-    """Return the best design over all loops of the plants at their points; of many loops, some are designed for first.
+    """Return the best design over all loops of the plants; with many loops the search starts with a selection.
 
     A design that is optimal for some loops and no worse in the others is optimal for all. With few gains every round is
     a search, with many gains a local optimisation from the last design.
@@ -223,7 +223,7 @@ def solve_over_points(plants: Plants, problem: GainProblem, task: SearchTask) ->
 def add_worst_points(
     solution: GainSolution, plants: Plants, domain: Domain, task: SearchTask
 ) -> tuple[GainSolution, str]:
-    """Return a design over a whole rectangle of operating points, and how it was verified.
+    """Return a design over a rectangle of operating points, and a text on its verification.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def add_worst_points(
 
 
 def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> FloatArray:
-    """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
+    """Return points (k, 2) at which the design is worse than at its design points, each refined locally."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
@@ -291,7 +291,7 @@ def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> Flo
 
 
 def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatArray) -> FloatArray:
-    """Return measures of a design at points over all plants, larger is worse: minus objective, then limits (n, m)."""
+    """Return minus objective and excesses of a design at points over all plants (n, m); larger is worse."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):
         values = problem.by_loop(plants.family(block), x)
@@ -305,7 +305,7 @@ def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatAr
 def independent_searches(
     design: Callable[[SearchTask], GainSolution], task: SearchTask, n: int, certified_is_enough: bool = False
 ) -> tuple[GainSolution, tuple[float, ...]]:
-    """Return the best design of up to n searches with different seeds, and the value of each; none for a grid.
+    """Return the best design of up to n searches with different seeds, and their values; no values for a grid.
 
     They end early when three have found the same design, and when the budget is used up.
 
@@ -334,7 +334,7 @@ def independent_searches(
 
 
 def _alike(values: Iterable[float], best: float) -> int:
-    """Return how many values are the best one."""
+    """Return how many values equal the best value within a tolerance."""
     return sum(value >= best - ALIKE * abs(best) for value in values)
 
 
@@ -482,7 +482,7 @@ def _listed(functions: Any) -> list[Any]:
 
 
 def with_idle_at(solution: GainSolution, neutral: FloatArray) -> GainSolution:
-    """Return a design whose gains that move no mode stay at their neutral values, if that makes it no worse."""
+    """Return a design with gains that move no mode at their neutral values, if the design is then no worse."""
     problem, best = solution.problem, solution.best
     found = [family.unmoved for family in problem.families if family.unmoved]
     idle = np.logical_and.reduce([each.idle for each in found]) if len(found) == len(problem.families) else None
@@ -494,7 +494,7 @@ def with_idle_at(solution: GainSolution, neutral: FloatArray) -> GainSolution:
 
 
 def _unmoved(problem: GainProblem, names: tuple[str, ...], value: float) -> tuple[str, ...]:
-    """Return notes on gains that move no mode, and on light modes, or worse than the value, that no gain moves."""
+    """Return notes on gains that move no mode, and on weakly damped modes that no gain moves."""
     every = [family for family in problem.families if family.unmoved]
     modes = [WorstMode.of(f.labels[i], rate) for f in every for i, rate in (f.unmoved.modes if f.unmoved else ())]
     modes = [mode for mode in modes if mode.value(problem.limits.objective) < value or mode.damping < _LIGHT]
@@ -519,7 +519,7 @@ def summarise(
     seed_values: tuple[float, ...] = (),
     **more: Any,
 ) -> GainResult:
-    """Return the result, from eigenvalues and exact norms of the final design.
+    """Return the result of a search from eigenvalues and exact norms of the final design.
 
     Without values of independent searches the search began with a grid over the whole box.
     """
@@ -580,7 +580,7 @@ def summarise(
 
 
 def _with_goals(result: GainResult, problem: GainProblem, x: FloatArray) -> GainResult:
-    """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
+    """Return the result with the values that the design reached for its goals, and with its damping."""
     limits = problem.limits
     if not limits.measures or problem.evaluations.late:
         return result
@@ -604,7 +604,7 @@ def _mode(worst: WorstMode) -> str:
 
 
 def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float]:
-    """Return the exact peaks over all loops that have outputs."""
+    """Return the exact peaks over all loops with outputs."""
     families = [family for family in problem.families if family.n_outputs]
     if not families or not stable or problem.evaluations.late:
         return {}
@@ -632,7 +632,7 @@ def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable:
 
 
 def _located(title: str, places: list[str]) -> list[str]:
-    """Return a limit at each of its places, worst first; of many only how many there are besides the worst."""
+    """Return texts of a limit and its points, worst point first; many points as a count."""
     if len(places) > _PLACES:
         return [f"{title} at {places[0]} and {len(places) - 1} more"]
     return [f"{title} at {place}" for place in places] or [title]

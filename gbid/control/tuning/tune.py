@@ -1,4 +1,4 @@
-"""Tuning of a controller of fixed structure, over the operating points of an LPV model or over any plants."""
+"""Tuning of a fixed-structure controller for an LPV model or other plants, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from gbid.structure.linear import Structure
 
 
 def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[str, ...]:
-    """Remarks on a design: unfinished fits, unstable open loops, distance to the edge, the sampled loop."""
+    """Return notes on a design: unfinished fits, unstable open loops, distance to instability, the sampled loop."""
     given = isinstance(plants, ModelPlants)
     labels = solution.problem.families[0].labels if given else [point_label(P, Omega) for P, Omega in plants.points]
     unstable = [label for label, rate in zip(labels, plants.slowest, strict=False) if rate < 0]
@@ -139,7 +139,7 @@ def tuned(
     options: TuneOptions,
     progress: Progress | None = None,
 ) -> GainResult:
-    """Gains of a controller for options as one value; see `tune`."""
+    """Return the gains of a controller; as `tune`, with the options as one value."""
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     speeds = options.speeds_rpm
     over = getattr(model, "domain", None) if not speeds else Domain((0.0, 0.0), (min(speeds), max(speeds)))
@@ -188,7 +188,7 @@ Box = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _for_sampling(plants: Plants, limits: Limits, box: Box, problem: GainProblem, task: SearchTask) -> GainSolution:
-    """Best design of the sampled loops, with starts from designs of the continuous ones."""
+    """Return the best design of the sampled loops, with starts from designs of the continuous loops."""
     budget, continuous = problem.evaluations, plants.continuous
     half = budget.half()
     sketch = search(
@@ -212,7 +212,7 @@ def _gain_bounds(structure: Structure | Scheduled, bounds: Mapping[str, tuple[fl
 
 
 def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return what is given for gains by name."""
+    """Return values given by name of a gain as a dict; refuse unknown names."""
     unknown = [str(name) for name in given or {} if name not in names]
     if unknown:
         raise UsageError(f"{what}: no gain {', '.join(unknown)}; choose from {', '.join(names)}")
@@ -222,7 +222,7 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
 def _constant_gains(
     plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, effort: SearchOptions, budget: Evaluations
 ) -> FloatArray:
-    """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
+    """Return the best constant gains as coefficients of a schedule; from this start a schedule cannot become worse."""
     constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
     low, high, start = (values[constant] for values in box)
     others = replace(plants.continuous, structure=replace(structure, terms=("1",)), box=None)
@@ -239,7 +239,7 @@ def _constant_gains(
 
 @dataclass(frozen=True)
 class ParetoFront(Brief):
-    """Best designs under rising limits on the peak of S_o.
+    """Best designs for rising limits on the peak of S_o.
 
     Attributes
     ----------
@@ -277,7 +277,7 @@ class ParetoFront(Brief):
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Damping factor (or decay rate [1/s]) for each limit; NaN when no design satisfies it."""
+        """Damping factor (or decay rate [1/s]) for each limit; NaN if no design satisfies the limit."""
         return tuple(design.value if design.keeps_limits else float("nan") for design in self.designs)
 
 
