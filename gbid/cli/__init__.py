@@ -1,1 +1,1 @@
-"""Command line: verbs, which read the options, call the library and print."""
+"""Command line: verbs that read the options, call the library and print."""

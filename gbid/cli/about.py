@@ -1,4 +1,4 @@
-"""`gbid check`: problems of an experiment, found before a run."""
+"""`gbid check`, `doctor`, `bench`, `explain` and `schema`: the verbs about experiment files and this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gbid new`, `init`, `peek`, `export` and `clean`: the verbs about files beside an experiment."""
+"""`gbid new`, `init`, `peek`, `export` and `clean`: the verbs about files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Template(StrEnum):
-    """Templates of experiments."""
+    """Names of the experiment templates."""
 
     quickstart = "quickstart"
     gas_bearing = "gas-bearing"
@@ -164,7 +164,7 @@ def init(
 
 
 def _pair(option: str, text: str) -> tuple[str, str]:
-    """Return the name and the value of an option of the form NAME=VALUE."""
+    """Return name and value of an option of the form NAME=VALUE."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise UsageError(f"{option}: expected NAME=VALUE; found {text!r}")
@@ -172,7 +172,7 @@ def _pair(option: str, text: str) -> tuple[str, str]:
 
 
 def _print_written(written: Sequence[Path], folder: Path, first: str, then: str, notes: Sequence[str] = ()) -> None:
-    """Print the files of a new experiment, and the verbs to call on it."""
+    """Print the files of a new experiment, and the commands to run next."""
     for path in written:
         typer.echo(str(path))
     experiment = folder / "experiment.yaml"
@@ -190,7 +190,7 @@ _OF_MACHINE = {
 
 
 def _asked_machine(known: MachineData) -> MachineData:
-    """Return the numbers of a machine with answers for those that are not known."""
+    """Return the machine data, completed by questions to the user."""
     answers = {}
     for name, (question, factor) in _OF_MACHINE.items():
         if getattr(known, name) is None:
@@ -203,7 +203,7 @@ def _asked_machine(known: MachineData) -> MachineData:
 
 
 def _drafted(options: DraftOptions, target: Path) -> Draft:
-    """Return the draft; ask for all that the files do not say, where there is someone to answer."""
+    """Return the draft; on a terminal ask for everything that the files do not state."""
     from gbid.cli.printing import tell
     from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment, list_folder
 

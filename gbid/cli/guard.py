@@ -1,4 +1,4 @@
-"""End of a verb: each error is one line on standard error, with an exit code."""
+"""Errors and interruptions of a verb: one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _INTERRUPTED = ["interrupted; complete results are kept"]
 
 @contextmanager
 def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
-    """Return a context for the body of a verb, which turns errors into messages and exit codes.
+    """Return a context for the body of a verb that turns errors into messages and exit codes.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Return a context which Ctrl-C, SIGTERM and SIGHUP end: workers end and complete results are kept.
+    """Return a context in which Ctrl-C, SIGTERM and SIGHUP stop the workers and keep complete results.
 
     Signals that the process ignores (nohup) stay ignored. A signal raises KeyboardInterrupt wherever Python is. In some
     places exceptions are forgotten: in finalisers, in callbacks of weak references, and within CasADi while it tries
@@ -115,7 +115,7 @@ def _again(number: int, frame: FrameType | None) -> None:
 
 
 def _forgotten(before: Callable[[sys.UnraisableHookArgs], object], ignored: sys.UnraisableHookArgs) -> None:
-    """Be reminded of an interruption that Python would print and forget."""
+    """Repeat an interruption that Python ignored because it came in a destructor or callback."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         _remind(_SOON_S)
         if not hasattr(signal, "setitimer"):  # Windows
@@ -127,7 +127,7 @@ def _forgotten(before: Callable[[sys.UnraisableHookArgs], object], ignored: sys.
 
 
 def _remind(seconds: float) -> None:
-    """Let SIGALRM come after some time, and then again and again; never with 0."""
+    """Schedule SIGALRM repeatedly with an interval [s]; 0 stops it."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 

@@ -143,7 +143,7 @@ for _group, _verbs in {**VERBS, "": HIDDEN}.items():
 
 
 def main() -> None:
-    """Run the command line; the exit codes are those of `gbid.core.errors`."""
+    """Run the command line; exit codes are defined in `gbid.core.errors`."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and a process without threads can fork
     gc.set_threshold(200_000)  # most of what the imports make stays: to look for garbage in it is a tenth of a start
     named = [verb for verb in app.registered_commands if verb.name in sys.argv[1:2]]

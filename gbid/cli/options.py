@@ -1,4 +1,4 @@
-"""Arguments and options of several verbs."""
+"""Options and arguments that several verbs have in common, stages as words, and the overview of `gbid --help`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def files_ending(*endings: str) -> Callable[[str], list[str]]:
-    """Return a function that completes the beginning of a path by folders and files with one of the endings."""
+    """Return a shell completion function for folders and files with given endings."""
 
     def complete(incomplete: str) -> list[str]:
         written, slash, begun = incomplete.rpartition("/")
@@ -44,7 +44,7 @@ ExperimentPath = Annotated[Path, typer.Argument(autocompletion=complete_experime
 
 @dataclass(frozen=True)
 class CommonOptions:
-    """Options that several verbs have in common; a verb without one of them has its default."""
+    """Common options of the verbs; options that a verb does not have keep their defaults."""
 
     results: Annotated[
         Path | None,
@@ -82,7 +82,7 @@ class CommonOptions:
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
 
     def load(self, path: Path, *, form_only: bool = False) -> Experiment:
-        """Return the experiment of a YAML file, with the folder of results that was given; see `load_experiment`."""
+        """Return the experiment of a YAML file, with the given results folder; see `load_experiment`."""
         from gbid.cli.printing import tell_line
         from gbid.experiment.load import load_experiment
 
@@ -93,7 +93,7 @@ COMMON = tuple(field.name for field in fields(CommonOptions))
 
 
 def with_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a verb the common options of these names, all without any.
+    """Return a decorator that adds common options to a verb: the named ones, or all without names.
 
     The verb receives them as one value, ``options``; its errors become messages and exit codes.
     """
@@ -125,7 +125,7 @@ OR_RUN = ", or use `gbid run`"
 
 
 class StageVerb(NamedTuple):
-    """Verb of one or several stages, which is also a word for `gbid run --only`.
+    """Verb that runs one or several stages; also a word for `gbid run --only`.
 
     Attributes
     ----------
@@ -199,10 +199,10 @@ GROUPS = (START, RESULTS, HELP, STAGES)
 
 
 class GroupedCommands(TyperGroup):
-    """Command group that lists the verbs by group, each with its whole first sentence."""
+    """Command group that lists the verbs by group, each with its full first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the groups in their order; verbs without group come last."""
+        """Write the groups in their order; verbs without a group come last."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)

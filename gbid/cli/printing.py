@@ -1,4 +1,4 @@
-"""Printing on standard output: rich tables for people, one JSON document for programs."""
+"""Printing: rich tables or one JSON document on standard output, messages on standard error."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def tell(text: str) -> None:
 
 
 def tell_error(text: str, word: str = "error: ") -> None:
-    """Print an error of gbid as one line of at most 500 characters; of a longer one the middle is left out."""
+    """Print an error as one line of at most 500 characters; longer errors lose their middle."""
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     tell(f"gbid: {word}{text}")
 
 
 def tell_line(text: str) -> None:
-    """Print a line of gbid on standard error."""
+    """Print one line on standard error, marked as a message of gbid."""
     tell(f"gbid: {text}")
 
 
@@ -49,7 +49,7 @@ _LONGEST = 470  # of the text of an error
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print notes on standard error, one a line."""
+    """Print notes on standard error, one per line."""
     for text in notes:
         tell(f"gbid: note: {text}")
 
@@ -66,14 +66,14 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables, an empty line below each; into a pipe with a width at which no cell is cut."""
+    """Print tables, each followed by an empty line; into a pipe without cutting cells."""
     from rich.console import Console
 
     from gbid.core.tables import terminal_table
 
     class ConsoleOrPipe(Console):
         def on_broken_pipe(self) -> None:
-            """Go on without a reader (`| head`), to the exit code of the verb; rich would end the program."""
+            """Continue without a reader (`| head`) to the exit code of the verb; rich would exit."""
             with suppress(SystemExit):
                 super().on_broken_pipe()
 
@@ -85,7 +85,7 @@ def print_tables(*tables: Table) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return arrays and numbers of numpy as lists and numbers, and mappings of other kinds as dicts."""
+    """Return numpy arrays and numbers as lists and numbers, and any mapping as a dict."""
     return value.tolist() if hasattr(value, "tolist") else dict(value)
 
 

@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar with rate and time left on a terminal, a few plain lines otherwise."""
+"""Progress on standard error: a bar with remaining time on a terminal, otherwise a few plain lines."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Tally:
         return len(self._running)
 
     def begin(self, item: Item) -> None:
-        """Count the start of an item, once also when it starts again."""
+        """Count the start of an item; a restart counts only once."""
         if item.stage == self.stage:
             self._running.add(item)
 
@@ -86,14 +86,14 @@ class Tally:
             self._worst = outcome.fit_percent, outcome.item
 
     def is_named(self, outcome: Outcome) -> bool:
-        """Return whether an outcome gets its own line: the first failures of a stage, or all when it has few items."""
+        """Return whether an outcome gets a separate line: every one in short stages, else the first failures."""
         if not self.many or outcome.item.stage != self.stage:
             return True
         listed = outcome.before or outcome.cause == "input"
         return outcome.state == "failed" and not listed and self.failed <= NAMED
 
     def opening(self) -> str:
-        """Return the numbers of items to make, existing, and failed before, as text."""
+        """Return the numbers of planned, existing and previously failed items as text."""
         counts = ((self.kept, "there"), (self.before, "failed already"))
         return ", ".join([f"{self.stage}: {self.todo} to make", *(f"{n} {word}" for n, word in counts if n)])
 
@@ -114,7 +114,7 @@ class Tally:
 
 
 def rate(per_second: float) -> str:
-    """Return a number of items in a second or a minute as text."""
+    """Return a number of items per second or per minute as text."""
     number, unit = (per_second, "s") if per_second >= 1 else (60 * per_second, "min")
     return f"{number:.{0 if number >= 10 else 1}f}/{unit}"
 
@@ -143,7 +143,7 @@ _BAR = 16  # characters
 
 
 class LiveBar:
-    """Bar of `rich` on standard error with time left and what is being done, below the finished lines.
+    """Progress bar of `rich` on standard error with remaining time and current work, below the finished lines.
 
     Parameters
     ----------
@@ -168,15 +168,15 @@ class LiveBar:
         self._task = self.progress.add_task("", total=None)
 
     def begin(self, total: int) -> None:
-        """Begin a bar of so many items; without any it only moves."""
+        """Start a bar with a number of items; without a number it only moves."""
         self.progress.reset(self._task, total=total or None, description="")
 
     def show(self, text: str, done: int) -> None:
-        """Show a text and the number of items done."""
+        """Show a text and the number of finished items."""
         self.progress.update(self._task, completed=done, description=printable(text))
 
     def say(self, text: str) -> None:
-        """Print a line above."""
+        """Print a line above the bar."""
         self.progress.console.print(printable(text), markup=False, soft_wrap=True)
 
 
@@ -187,28 +187,28 @@ _NOUNS = {"rig": "recording", "import": "recording", "prefilter": "recording", "
 
 
 def is_first_cause(outcome: Outcome) -> bool:
-    """Return whether a result failed by itself, not because its input is missing."""
+    """Return whether a result failed itself, not because an input was missing."""
     return outcome.state == "failed" and outcome.cause != "input"
 
 
 def in_short(failed: Iterable[Outcome]) -> str:
-    """Return which results failed by themselves, such as ``import of 6 recordings failed``; empty without any."""
+    """Return a text on the first causes of failure, such as ``import of 6 recordings failed``; empty without any."""
     counts = Counter(outcome.item.stage for outcome in failed if is_first_cause(outcome))
     return " and ".join(f"{stage} of {counted(stage, count)} failed" for stage, count in counts.items())
 
 
 def counted(stage: str, count: int) -> str:
-    """Return a number of results of a stage in words."""
+    """Return the number of results of a stage as text."""
     return f"{count} {_NOUNS.get(stage, 'result')}{'s' * (count != 1)}"
 
 
 def not_made(stage: str, count: int, why: str) -> str:
-    """Return the line on the results of a stage whose inputs failed or are missing."""
+    """Return a line on results of a stage whose inputs failed or are missing."""
     return f"{stage}: {counted(stage, count)} not made: {why}"
 
 
 def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str, int]) -> list[str]:
-    """Return the lines on what failed by itself; the last one is the first failure with the exit code.
+    """Return lines on the first causes of failure; the last line is the first failure with the exit code.
 
     Results whose inputs failed in the same run are left out: the progress has told of them. Where nothing failed by
     itself, the inputs were missing before, and each stage has a line with the first of its reasons, or
@@ -257,7 +257,7 @@ SEARCH_PAUSE = 2.0
 
 @contextmanager
 def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
-    """Return a context that gives the reporter for standard error.
+    """Return a context with the progress reporter for standard error.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
 
 @contextmanager
 def _compilations_told(say: Callable[[str], None]) -> Iterator[None]:
-    """Tell of what this process compiles, while it waits for the compiler."""
+    """Report compilations of this process while it waits for the compiler."""
     handler, process, logger = logging.Handler(), os.getpid(), logging.getLogger("gbid.compiled")
     handler.emit = lambda record: say(record.getMessage()) if os.getpid() == process else None  # type: ignore[method-assign]
     level = logger.level
@@ -293,7 +293,7 @@ def _compilations_told(say: Callable[[str], None]) -> Iterator[None]:
 
 
 class ProgressReporter(Reporter):
-    """Reporter of a verb: a line for each result, for many results at intervals and for failures; iterations between.
+    """Reporter of a verb: a line per result, or for many results periodic lines and failures; then iterations.
 
     Parameters
     ----------
@@ -320,14 +320,14 @@ class ProgressReporter(Reporter):
             self._say(self._tally.opening())
 
     def begin(self, item: Item) -> None:
-        """Store the item to which the iterations belong."""
+        """Store the item to which the next iterations belong."""
         self._flush(item.stage)
         self._label, self._tries, self._began = f"{item.stage} {item}", 0, time.monotonic()
         self._tally.begin(item)
         self._show(self._label)
 
     def iteration(self, progress: Progress) -> None:
-        """Print every tenth iteration, or show each."""
+        """Print every tenth iteration, or show each one in the bar."""
         self._tries += progress.iteration == 0
         which = f", try {self._tries}" if self._tries > 1 else ""  # from several starts, or with several windows
         step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
@@ -336,7 +336,7 @@ class ProgressReporter(Reporter):
         self._step(f"{self._label}{which}: {where}{step}", bool(often))
 
     def search(self, step: SearchStep) -> None:
-        """Print a step of the search at intervals, or show each."""
+        """Print some search steps, or show each one in the bar."""
         often = time.monotonic() - self._searched > SEARCH_PAUSE and not self._tally.many
         if often:
             self._searched = time.monotonic()
@@ -347,7 +347,7 @@ class ProgressReporter(Reporter):
         self._step(text, often)
 
     def lose(self, items: Sequence[Item], count: int) -> None:
-        """Print the items of a lost worker."""
+        """Print the items that a lost worker was processing."""
         named = ", ".join(f"{item.stage} {item}" for item in items[:NAMED])
         more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
         lost = "a Dask worker was lost" if count == 1 else f"{count} Dask workers were lost"
@@ -373,7 +373,7 @@ class ProgressReporter(Reporter):
             self._say(tally.text())
 
     def close(self) -> None:
-        """Print what is still to be said."""
+        """Print pending messages."""
         self._flush("")
 
     def _step(self, text: str, often: bool) -> None:
@@ -387,7 +387,7 @@ class ProgressReporter(Reporter):
             self._bar.show(self._tally.text() if self._tally.many else text, self._tally.done)
 
     def _flush(self, stage: str) -> None:
-        """Tell of results that could not be made, once another stage begins."""
+        """Report results that could not be computed, when the next stage begins."""
         if self._idle and self._idle[0].item.stage != stage:
             why = in_short(self._failed) or self._idle[0].text
             self._say(not_made(self._idle[0].item.stage, len(self._idle), why))

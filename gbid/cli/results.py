@@ -1,4 +1,4 @@
-"""`gbid show` and `gbid diff`: stored results, looked at again and compared."""
+"""`gbid show`, `compare` and `diff`: stored results, shown and compared."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def show(
 
 
 def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
-    """Return kind, document and tables of the value in an HDF5 file; without tables its document has a text."""
+    """Return kind, document and tables of the value in an HDF5 file; a value without tables has a text."""
     from gbid.core.tables import titled
     from gbid.identify import FitResult
     from gbid.stored import load
@@ -186,7 +186,7 @@ def diff(
 
 
 def _paired(kind: str, first: Path, second: Path) -> tuple[dict[str, tuple[Path, Path]], tuple[list[str], list[str]]]:
-    """Return the files of a kind that both folders have, by name, and the names that only one of them has."""
+    """Return the files of a kind in both folders, by name, and the names that only one folder has."""
     a, b = (
         {
             f"{kind}/{path.relative_to(folder / kind).with_suffix('')}": path
@@ -227,7 +227,7 @@ def parameter_differences(name: str, first: FitResult, second: FitResult) -> lis
 
 
 def _origin(path: Path) -> dict[str, Any]:
-    """Return versions, YAML and seeds of a result; its data and its command are its own."""
+    """Return versions, YAML and seeds of a result, without data files and command."""
     from gbid.core.hdf5 import read_made_with
 
     origin = read_made_with(path)
@@ -252,7 +252,7 @@ def _design_settings(design: TunedDesign) -> dict[str, Any]:
 
 
 def _differences(name: str, first: Mapping[str, Any], second: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the entries that differ; the entries are compared as they are printed, so that nan equals nan."""
+    """Return the entries that differ; entries are compared as printed, so that nan equals nan."""
     keys = dict.fromkeys([*first, *second])
     return [
         {"of": name, "what": key, "a": first.get(key), "b": second.get(key)}

@@ -1,4 +1,4 @@
-"""Stages of a verb: run them and print their outcomes."""
+"""Execution of verbs that run stages: plan, run, outcomes, exit code and next command."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LIKE = {
 
 
 def next_step(experiment: Experiment, verb: str) -> str:
-    """Return the command that follows a verb; empty after the last one.
+    """Return the command that should follow a verb; empty after the last verb.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = (), advice: str = "") -> None:
-    """Say on standard error what failed, and end with the exit code: the lowest that applies, or 0.
+    """Print the failures on standard error and exit with the lowest applicable exit code, or 0.
 
     The last line is the first cause. Results whose inputs failed in this run have no lines of their own.
 
@@ -117,7 +117,7 @@ _LATER = "what is to be made is known when the stages before have run"
 
 
 def print_plan(experiment: Experiment, stages: Sequence[Stage], options: CommonOptions) -> None:
-    """Print how many results of each stage are to be made, are there, and failed before; nothing is locked or written.
+    """Print the numbers of planned, existing and failed results of each stage, without locks or files.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def print_plan(experiment: Experiment, stages: Sequence[Stage], options: CommonO
 
 
 def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
-    """Return the counts of each stage that the experiment names; None where earlier stages have to run first."""
+    """Return the counts of each stage of the experiment; None if earlier stages must run first."""
     rows: list[dict[str, Any]] = []
     pending = False
     for stage in (stage for stage in stages if has_section(job.experiment, stage.section)):
@@ -181,7 +181,7 @@ def document_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) 
 
 
 def tables_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) -> Iterable[Table]:
-    """Return the tables of stages, made when they are printed."""
+    """Return the tables of stages, computed when they are printed."""
     return (table for stage in stages for table in view_of(stage).tables(job, outcomes))
 
 
@@ -194,7 +194,7 @@ def conclude(
     tables: Iterable[Table] = (),
     lines: Sequence[str] = (),
 ) -> None:
-    """Print the results of a verb, as JSON or as tables and lines; end with its exit code and the next step."""
+    """Print the results of a verb as JSON or as tables, then exit with its code and the next command."""
     if options.as_json:
         print_json({**document, "outcomes": outcome_rows(outcomes)})
     else:
@@ -206,7 +206,7 @@ def conclude(
 
 
 def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = "") -> None:
-    """Refuse an experiment that has none of the sections, with further advice.
+    """Refuse an experiment that has none of the given sections, with advice.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = 
 
 
 def stages_of(word: str) -> list[Stage]:
-    """Return the stages that a word of `gbid run --only` names: those of a stage's verb, or a stage without one.
+    """Return the stages for a word of `gbid run --only`: the stages of a verb, or a single stage.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def stages_of(word: str) -> list[Stage]:
 
 
 def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | None = None, before: bool = False) -> None:
-    """Run the stages that a word names and print their results; end with the exit code and the next step.
+    """Run the stages of a word and print their results; exit with their code and the next command.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | Non
 
 
 def run_one(path: Path, options: CommonOptions, item: str) -> None:
-    """Make one fit with what it needs, beside other processes in the same folder; see `gbid.cli.verbs.fit`.
+    """Compute one fit and its inputs, beside other processes in the results folder; see `gbid.cli.verbs.fit`.
 
     Raises
     ------
@@ -300,7 +300,7 @@ def run_one(path: Path, options: CommonOptions, item: str) -> None:
 
 
 def list_items(path: Path, options: CommonOptions) -> None:
-    """Print the item of each fit, and with ``--json`` its file; nothing is run or written."""
+    """Print the item of each fit, with ``--json`` also its file; nothing is run or written."""
     tasks = fit_tasks(Job(options.load(path)))
     if options.as_json:
         print_json({"fits": [{"item": str(task.item), "path": task.path} for task in tasks]})
@@ -309,7 +309,7 @@ def list_items(path: Path, options: CommonOptions) -> None:
 
 
 def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: str | None, collected: bool) -> None:
-    """Run a campaign, or a part of it, and print its table; see `gbid.cli.verbs.batch`.
+    """Run a campaign or a shard of it, and print its table; see `gbid.cli.verbs.batch`.
 
     Raises
     ------

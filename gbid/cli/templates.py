@@ -1,4 +1,4 @@
-"""Templates of experiments that `gbid new` writes, with their example data as a data logger writes it."""
+"""Templates of experiments that `gbid new` writes, with example data in the form of a data logger."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbid.structure import LinearModel
 
 
 def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time: float = 5e-4) -> None:
-    """Write a CSV file like that of a data logger: a mass on a spring, 40 Hz, damping factor 0.05, random input.
+    """Write a CSV file of a data logger: mass on a spring, 40 Hz, damping factor 0.05, random input.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time
 
 
 def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time: float = 1e-4) -> None:
-    """Write a CSV file of a magnetic bearing that a PD controller holds, with a random current added to its output.
+    """Write a CSV file of a magnetic bearing under PD control, with a random current added to the controller output.
 
     The bearing has the negative stiffness 4e4 N/(kg m), the damping 2 N s/(kg m) and the gain 60 N/(kg A).
 
@@ -98,7 +98,7 @@ _EXAMPLES = {
 
 
 def write_template(template: str, folder: Path) -> list[Path]:
-    """Write the files of a template and the schema for editors into a new or empty folder: all of them or none.
+    """Write the files of a template and the editor schema into a new or empty folder: all or none.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def write_template(template: str, folder: Path) -> list[Path]:
 
 
 def write_draft(text: str, folder: Path) -> list[Path]:
-    """Write an experiment and the schema for editors into a new or empty folder: both or none.
+    """Write an experiment and the editor schema into a new or empty folder: both or none.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def write_draft(text: str, folder: Path) -> list[Path]:
 
 
 def _copy(source: Path, part: Path) -> None:
-    """Copy a template, which is a file or a folder; a folder has example data made for it."""
+    """Copy a template, which is a file or a folder; a folder also gets example data."""
     if not source.is_dir():
         shutil.copyfile(source.with_suffix(".yaml"), part / EXPERIMENT)
         return

@@ -1,4 +1,4 @@
-"""Verbs that run stages or show their results: `gbid run`, `fit`, `batch`, those of a section, `report`, `serve`."""
+"""Verbs that run stages or show their results: `gbid run`, `fit`, `batch`, a verb per section, `report`, `serve`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.cli.options import STAGE_VERBS, CommonOptions, ExperimentPath, with_op
 
 
 def stage_verb(name: str) -> Callable[..., None]:
-    """Return the verb of a stage: `gbid run --only` of the same word."""
+    """Return the verb that runs a stage, as `gbid run --only` does."""
 
     def verb(experiment: ExperimentPath, options: CommonOptions) -> None:
         from gbid.cli.stages import run_stages
@@ -105,7 +105,7 @@ def run(
 
 
 class FigureFormat(StrEnum):
-    """Formats of figures."""
+    """File formats of figures."""
 
     PDF = "pdf"
     SVG = "svg"
@@ -150,7 +150,7 @@ def report(
 
 
 class PaperPart(StrEnum):
-    """What `gbid paper` writes."""
+    """Choice of the output of `gbid paper`."""
 
     FIGURES = "figures"
     COMPARISON = "comparison"

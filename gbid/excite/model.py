@@ -26,7 +26,7 @@ from gbid.structure.parameter import Values
 
 
 def tangent_structure(fit: FitResult) -> tuple[LinearStructure, list[int]]:
-    """Return a fitted model linearised in its parameters as a structure, with the names of its effective parameters.
+    """Return a fitted model linearised in its parameters as a structure, and their indices among the free parameters.
 
     Its matrices are ``A(p) = A + sum dA/dp_i (p_i - p_i0)``, and so on. At the estimates it has the same predictions
     with the same derivatives as the structure of the fit, so it has the same information. A stored fit knows its

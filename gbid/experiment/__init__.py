@@ -1,1 +1,1 @@
-"""Experiments in YAML: schema, checks with positions, and the stages that run them."""
+"""Experiments in YAML: schema, checks with file positions, and stages."""

@@ -1,4 +1,4 @@
-"""Campaign: its parts, the lock of the results folder, its run and its table."""
+"""Campaign: shards, lock of the results folder, run, cleaning, and the table of all fits."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Shard:
-    """Part `number` of `count` parts, counted from one."""
+    """Shard of a campaign: part `number` of `count` parts, counted from one."""
 
     number: int
     count: int
@@ -77,7 +77,7 @@ def read_shard(text: str) -> Shard:
 
 
 def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task]) -> list[Task]:
-    """Return the tasks of a shard: its recordings, their fits, and the stationary recordings that these need.
+    """Return the tasks of a shard: recordings, their fits, and the stationary recordings that they need.
 
     Excited recordings are dealt out in turn, then staircases, hammer runs and run-ups. A stationary recording is made
     by each shard that needs it, and is always the same. Tasks that need recordings of several shards, such as a fit to
@@ -109,7 +109,7 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
 
 
 def tasks_for(job: Job, item: str) -> list[tuple[Stage, list[Task]]]:
-    """Return the tasks of one fit by stage: what it needs, and the fit. Only the files of its recordings are read.
+    """Return the tasks of one fit and of its inputs by stage; only the files of its recordings are read.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def tasks_for(job: Job, item: str) -> list[tuple[Stage, list[Task]]]:
 
 
 def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
-    """Return the stages whose tasks are known before a run, from recordings to fits, with their tasks."""
+    """Return the stages from recordings to fits with their tasks, which are known before a run."""
     early = [stage for stage in registry.STAGES if stage.early]
     return [(stage, [item for item in stage.work(job) if isinstance(item, Task)]) for stage in early]
 
@@ -150,7 +150,7 @@ NAME = ".gbid.lock"
 
 @contextlib.contextmanager
 def locked(results: Path, shared: bool = False) -> Iterator[None]:
-    """Return a context that locks a results folder for one runner; the lock ends with its process.
+    """Return a context that locks a results folder for one process; the lock ends with the process.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
 
 
 def _take(path: Path, shared: bool) -> int:
-    """Open and lock the file; try again when its last owner has removed it meanwhile."""
+    """Open and lock the lock file; retry if its last owner has removed the file meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         try:
@@ -228,7 +228,7 @@ def working(
     scheduler: str | Client | None = None,
     shared: bool = False,
 ) -> Iterator[Job]:
-    """Return a context that locks the results folder of an experiment and gives the job to run in it.
+    """Return a context that locks the results folder of an experiment and gives the job to run.
 
     At its beginning and end, temporary files of killed processes are removed.
 
@@ -278,7 +278,7 @@ def working(
 
 
 def run_campaign(job: Job, shard: Shard | None = None, one: str | None = None) -> list[Outcome]:
-    """Make, prefilter and fit the recordings of an experiment, except for results that are current.
+    """Simulate or import, prefilter and fit the recordings of an experiment; current results are kept.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def stale_files(results: Path, everything: bool = False, kernels: Path | None = 
 
 
 def remove(results: Path, files: Sequence[Path]) -> None:
-    """Remove files, and folders of the results that are empty then.
+    """Remove files, and results folders that are empty afterwards.
 
     Raises
     ------
@@ -379,7 +379,7 @@ NOT_MADE = "not made yet; run `gbid batch`"
 
 
 def collect(job: Job) -> tuple[identify.FitTable, list[Outcome]]:
-    """Write ``table.h5`` and ``table.csv`` with one row for each fit of the experiment, made or missing.
+    """Write ``table.h5`` and ``table.csv`` with one row for each planned fit, existing or missing.
 
     A table of an earlier state of the same campaign is replaced; all its data are also in the fits.
 
@@ -434,7 +434,7 @@ def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> Tab
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
-    """Return, for each fit, true when its result exists, else the reason as text."""
+    """Return for each fit True if its result exists, else the reason as text."""
     made = [task.is_made for task in tasks]
     sources: dict[str, list[Task]] = {}
     if not all(made):
@@ -445,7 +445,7 @@ def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
 
 
 def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
-    """Return the reason of a missing result: the fit or one of its inputs failed, or it was not made yet."""
+    """Return the reason for a missing result: failed fit, failed input, or not run yet."""
     failure = remembered_failure(job, task)
     if failure is not None:
         return f"failed: {failure.text}"

@@ -1,4 +1,4 @@
-"""Controllers of an experiment: designs, impacts, the control chain, and the loops of recordings."""
+"""Controllers of an experiment: goals, designs, impacts, control chain, and controllers in the loop of recordings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Disturbance = Callable[[tuple[str, ...]], "control.DisturbanceSpectrum"]
 
 
 def made_goal(entry: GoalEntry, disturbance: Disturbance) -> control.Goal:
-    """Return the goal of an entry.
+    """Return the goal object of a YAML entry.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def made_goal(entry: GoalEntry, disturbance: Disturbance) -> control.Goal:
 
 
 def goal_recordings(experiment: Experiment, section: ControllerSection) -> list[PlannedRecording]:
-    """Return the recordings whose disturbance the goals of a design need."""
+    """Return the recordings whose disturbance spectrum the goals of a design need."""
     named = (entry.arguments.get("disturbance", ()) for entry in section.goals or ())
     return experiment.matching(tuple(pattern for patterns in named for pattern in patterns))
 
 
 def peak_cap(section: ControllerSection) -> float | None:
-    """Return the cap on the peak of S_o at all frequencies; None when a design has none."""
+    """Return the limit on the peak of S_o at all frequencies; None if a design has none."""
     if section.goals is None:
         return section.peak_sensitivity
     limits = [entry.arguments["limit"] for entry in section.goals if _caps_peak(entry)]
@@ -91,12 +91,12 @@ def peak_cap(section: ControllerSection) -> float | None:
 
 
 def without_cap(section: ControllerSection, goals: Sequence[control.Goal]) -> list[control.Goal]:
-    """Return the goals of a design without its caps on the peak of S_o, in whose place others come."""
+    """Return the goals of a design without its limits on the peak of S_o, for a Pareto front with other limits."""
     return [goal for goal, entry in zip(goals, section.goals or (), strict=True) if not _caps_peak(entry)]
 
 
 def no_disturbance(_names: tuple[str, ...]) -> control.DisturbanceSpectrum:
-    """Return a disturbance in place of that of recordings that do not exist yet, for checks."""
+    """Return a placeholder disturbance for checks before the recordings exist."""
     return control.DisturbanceSpectrum(np.array([1.0, 2.0]), np.tile(1e-18 * np.eye(2, dtype=complex), (2, 1, 1)))
 
 
@@ -106,7 +106,7 @@ def _caps_peak(entry: GoalEntry) -> bool:
 
 
 def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> LinearModel:
-    """Return a transfer function as a model.
+    """Return a transfer function of the YAML as a linear model.
 
     Raises
     ------
@@ -125,7 +125,7 @@ SURFACES = {"lpv": "", "lpv_direct": "_direct"}
 
 
 def controller_section(experiment: Experiment, name: str) -> ControllerSection:
-    """Return the section of a design.
+    """Return the YAML section of a design.
 
     Raises
     ------
@@ -139,12 +139,12 @@ def controller_section(experiment: Experiment, name: str) -> ControllerSection:
 
 
 def model_word(experiment: Experiment, section: ControllerSection) -> str | None:
-    """Return the model entry of a design: ``lpv``, ``lpv_direct``, a name or file; None for the model of the rig."""
+    """Return the model name of a design: ``lpv``, ``lpv_direct``, a name or file; None for the model of the rig."""
     return section.model or ("lpv" if experiment.spec.lpv is not None else None)
 
 
 def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | None:
-    """Return the name of the surfaces of a design; None when it uses another model."""
+    """Return the name of the surfaces that a design uses; None if it uses another model."""
     word = model_word(experiment, section)
     if word not in SURFACES:
         return None
@@ -154,12 +154,12 @@ def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | N
 
 
 def is_fitted(experiment: Experiment, section: ControllerSection) -> bool:
-    """Return whether the plants of a design are the models of a fit."""
+    """Return whether a design uses the models of a fit as plants."""
     return section.model in experiment.spec.fits
 
 
 def named_model(experiment: Experiment, section: ControllerSection) -> lpv.LPVModel:
-    """Return the model of a design that does not use the surfaces of the experiment.
+    """Return the model that a design names instead of the surfaces of the experiment.
 
     Raises
     ------
@@ -176,12 +176,12 @@ def named_model(experiment: Experiment, section: ControllerSection) -> lpv.LPVMo
 
 
 def model_source(experiment: Experiment, word: str) -> Path | str:
-    """Return what a word names: a file relative to the experiment, or a model of gbid."""
+    """Return the source of a model name: a file relative to the experiment, or a model of gbid."""
     return experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word
 
 
 def with_actuators(model: lpv.LPVModel) -> lpv.LPVModel:
-    """Return the model after a check that it has actuators, which a closed loop needs.
+    """Return a model after a check that it has actuators, which a closed loop needs.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def with_actuators(model: lpv.LPVModel) -> lpv.LPVModel:
 def design_structure(
     experiment: Experiment, section: ControllerSection, domain: lpv.Domain | None = None
 ) -> Structure | control.Scheduled:
-    """Return the structure of the controller.
+    """Return the controller structure of a design.
 
     Parameters
     ----------
@@ -247,13 +247,13 @@ def design_structure(
 
 
 def _structure_text(experiment: Experiment, name: str | None) -> str:
-    """Return the text of the file of a user's structure, for content keys; empty for built-in structures."""
+    """Return the source text of a user-defined structure, for content keys; empty for built-in structures."""
     file = file_of(name or "")
     return (experiment.folder / file).read_text(errors="replace") if file else ""
 
 
 def sample_time(experiment: Experiment, section: ControllerSection | ControllerChoice | None = None) -> float:
-    """Return the sample time of a controller [s]: that of its section, else that of the rig."""
+    """Return the sample time of a controller [s]: from its section, else from the rig."""
     if stated := getattr(section, "sample_time_s", None):
         return float(stated)
     if experiment.spec.rig is None:
@@ -264,7 +264,7 @@ def sample_time(experiment: Experiment, section: ControllerSection | ControllerC
 
 
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
-    """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
+    """Return the machine with a published controller: of the design, else of the rig; None without a rig."""
     if section is not None and is_fitted(experiment, section):
         return None
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
@@ -275,7 +275,7 @@ def published_machine(experiment: Experiment, section: ControllerSection | None 
 
 
 def published_design(experiment: Experiment, section: ControllerSection | None = None) -> ProportionalDesign | None:
-    """Return the controller of `published_machine`; None when there is none."""
+    """Return the published controller of `published_machine`; None if it has none."""
     machine = published_machine(experiment, section)
     return None if machine is None else machine.controller
 
@@ -330,7 +330,7 @@ TUNED = "controller"
 
 @dataclass(frozen=True, eq=False)
 class LoopController:
-    """Controller in continuous and in discrete time.
+    """Controller of a loop in continuous and in discrete time.
 
     Attributes
     ----------
@@ -361,7 +361,7 @@ def controller_at(experiment: Experiment, point: Place, loop: str = "closed") ->
 
 
 def controller_key(experiment: Experiment, loop: str) -> str:
-    """Return what identifies the controller of a loop in content keys; raises as `controller_at`."""
+    """Return the identity of a loop's controller for content keys; raises as `controller_at`."""
     word = _word_of(experiment, loop)
     return _source_key(experiment, word, lambda name: file_digest(_controller_file(experiment, name)))
 
@@ -372,7 +372,7 @@ def _word_of(experiment: Experiment, loop: str) -> ControllerName:
 
 
 def _controller_file(experiment: Experiment, name: str) -> Path:
-    """Return the controller file of a design; raises UsageError when `gbid tune` has not made it."""
+    """Return the controller file of a design; raises UsageError before `gbid tune` has written it."""
     path = experiment.path(TUNED, name, ending=".yaml")
     if not path.is_file():
         raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
@@ -382,7 +382,7 @@ def _controller_file(experiment: Experiment, name: str) -> Path:
 def running_controller(
     experiment: Experiment, controller: control.ControllerDesign | Structure, conditions: Mapping[str, float]
 ) -> LoopController:
-    """Return a controller at an operating point, as the rig runs it.
+    """Return a controller at an operating point in the form that the rig runs.
 
     Raises
     ------
@@ -407,7 +407,7 @@ def running_controller(
 
 
 def tuned_design(experiment: Experiment, name: str) -> str:
-    """Return the name of a design; an empty name means the only one.
+    """Return the name of a design; an empty name stands for the only design.
 
     Raises
     ------
@@ -428,7 +428,7 @@ def tuned_design(experiment: Experiment, name: str) -> str:
 
 
 def chain_options(experiment: Experiment) -> export.ChainOptions:
-    """Return the options of the control chain from the section target, else from the numbers of the machine.
+    """Return the options of the control chain from the section target, completed by the machine data.
 
     Raises
     ------
@@ -447,7 +447,7 @@ _SHARE_OF_SETTLING = 0.2
 
 
 def loop_settings(experiment: Experiment) -> dict[str, Any]:
-    """Return the settings of the loop for content keys; empty for sampled matrices."""
+    """Return the settings of the rig's loop for content keys; empty for sampled matrices."""
     rig = needed(experiment.spec.rig, "rig")
     return {} if rig.controller == "python" else {"compiled": asdict(chain_options(experiment))}
 
@@ -489,7 +489,7 @@ RIG = "rig"
 
 
 def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoice:
-    """Return the section that names the controller: for an empty one of a fit that of the rig.
+    """Return the section that names a controller; an empty section of a fit refers to the section of the rig.
 
     Raises
     ------
@@ -513,7 +513,7 @@ def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoic
 def found_controller(
     experiment: Experiment, section: ControllerChoice, *, planned: bool = False
 ) -> control.ControllerDesign | Structure:
-    """Return the controller that a section means: a design, or a structure with gains that are not known.
+    """Return the controller of a section: a design, or a structure with unknown gains.
 
     Parameters
     ----------
@@ -540,7 +540,7 @@ def found_controller(
 def _named_controller(
     experiment: Experiment, named: ControllerName, tuned: Callable[[str], control.ControllerDesign]
 ) -> control.ControllerDesign | Structure:
-    """Return the controller that the YAML names; `tuned` returns a design of the experiment by its name."""
+    """Return the controller named in the YAML; the function `tuned` returns designs of the experiment by name."""
     if named.kind == "paper":
         return _published(experiment)
     if named.kind == "tuned":
@@ -554,7 +554,7 @@ def _named_controller(
 
 
 def _source_key(experiment: Experiment, named: ControllerName, tuned: Callable[[str], str]) -> str:
-    """Return what identifies the source of a controller in content keys; `tuned` returns the key of a design."""
+    """Return the identity of a named controller for content keys; `tuned` returns the key of a design."""
     if named.kind == "paper":
         return repr(rig_machine(experiment).controller)
     if named.kind == "tuned":
@@ -563,7 +563,7 @@ def _source_key(experiment: Experiment, named: ControllerName, tuned: Callable[[
 
 
 def controller_identity(experiment: Experiment, section: ControllerChoice) -> dict[str, Any]:
-    """Return what a controller is made from, for content keys; known before anything runs.
+    """Return the sources of a controller for content keys; known before anything runs.
 
     Raises
     ------
@@ -593,13 +593,13 @@ def stationary_at(experiment: Experiment, point: str) -> list[PlannedRecording]:
 
 
 def answered(experiment: Experiment, planned: PlannedRecording) -> bool:
-    """Return whether the controller of a recording answers to run-out, because it does not subtract it."""
+    """Return whether the controller responds to run-out because it does not subtract it."""
     rig = experiment.spec.rig
     return planned.in_loop and rig is not None and rig.loop is not None and rig.loop.runout == "offline"
 
 
 def early_design(experiment: Experiment, name: str) -> Result:
-    """Return the result file of a design that needs no recording of this experiment; `gbid tune` makes the same.
+    """Return the result file of a design without recordings of this experiment; `gbid tune` uses it as well.
 
     Raises
     ------
@@ -618,7 +618,7 @@ def early_design(experiment: Experiment, name: str) -> Result:
 
 
 def at_point(design: control.ControllerDesign, conditions: Mapping[str, float]) -> tuple[float | None, float | None]:
-    """Return the operating point at which a design is needed: pressure and speed, or nothing.
+    """Return the pressure and speed at which a design is needed; None for a design without schedule.
 
     Raises
     ------
@@ -650,7 +650,7 @@ def _of_structure(experiment: Experiment, section: ControllerChoice) -> control.
 
 
 def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
-    """Return a structure whose known gains are fixed."""
+    """Return a structure with the known gains fixed."""
     parameters = [
         replace(q, start=gains[q.name], lower=-np.inf, upper=np.inf, fixed=True) if q.name in gains else q
         for q in structure.parameters
@@ -659,7 +659,7 @@ def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
 
 
 def _as_design(section: ControllerChoice) -> ControllerSection:
-    """Return the structure and its options as a section of a design, whose rules are the same."""
+    """Return structure and options of a loop's controller as a design section, which has the required rules."""
     given = section.model_dump(include={"structure", "lowpass_hz", "order", "options"}, exclude_none=True)
     return ControllerSection.model_validate(given)
 
@@ -706,7 +706,7 @@ def _stored_gains(result: Result) -> dict[str, float]:
 
 
 def load_design(path: Path) -> TunedDesign:
-    """Return the tuned design in a file.
+    """Return the tuned design stored in a file.
 
     Raises
     ------

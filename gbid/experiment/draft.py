@@ -1,4 +1,4 @@
-"""Draft of an experiment from a folder of measured files: roles of channels, names, kinds, and the YAML."""
+"""Draft of an experiment from a folder of measured files: channels, names, kinds, operating points, YAML."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ OPTIONAL = {
 
 
 class UnansweredError(UsageError):
-    """Things that the files do not say and that must be given.
+    """Error with the questions that the files leave open.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _flag(option: str) -> str:
 
 
 def calibration_of(text: str) -> tuple[str, tuple[Calibration, str]]:
-    """Return the column, the calibration and its unit from a text such as ``X=0:0 10:125 um``.
+    """Return column, calibration and unit from a text such as ``X=0:0 10:125 um``.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def calibration_of(text: str) -> tuple[str, tuple[Calibration, str]]:
 
 @dataclass(frozen=True)
 class DraftOptions:
-    """Answers about a folder of measured files; what is not given is found in the files.
+    """Answers of the user about a folder of measured files; everything else is read from the files.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class DraftOptions:
     ask: bool = False
 
     def answered(self, option: str, text: str) -> DraftOptions:
-        """Return the options with one more answer.
+        """Return these options with one more answer.
 
         Raises
         ------
@@ -202,7 +202,7 @@ class DraftOptions:
         return replace(self, **{option: value})
 
     def text_of(self, path: Path) -> TextOptions | None:
-        """Return the given layout for a text file, None for a file of another kind."""
+        """Return the given layout of a text file; None for other kinds of files."""
         kind = format_of(path)
         return self.text if kind is not None and kind.layout is not None else None
 
@@ -212,7 +212,7 @@ class DraftOptions:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFile:
-    """One measured file.
+    """Measured file with its channels and mapping.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ class MeasuredFile:
 
 @dataclass(frozen=True, eq=False)
 class FolderContent:
-    """Files of a folder and the channels of those that can be imported.
+    """Files of a folder, and the channels of the files that can be imported.
 
     Attributes
     ----------
@@ -291,14 +291,14 @@ def list_folder(options: DraftOptions) -> FolderContent:
 
 
 def _in_options(text: str) -> str:
-    """Return a message with the options of `gbid init` in place of keys of the YAML."""
+    """Return a message in which options of `gbid init` replace keys of the YAML."""
     keys = r"\b(decimal|encoding|delimiter|header_line|time_unit): "
     text = re.sub(keys, lambda key: f"--{key[1].replace('_', '-')} ", text)
     return re.sub("(?<!-)header_line", "--header-line", text).replace("sample_time_s", "--sample-time")
 
 
 def _broken_in_words(errors: Mapping[Path, GbidError]) -> list[str]:
-    """Return a line for each file that cannot be used, and one with the way out where there is one."""
+    """Return a line for each unusable file, and a line on the option that skips these files."""
     lines = [_in_options(str(error)) for error in errors.values()]
     count = sum(isinstance(error, DataError) for error in errors.values())
     return [*lines, f"{count} of these files can be left out: --skip-broken"] if count else lines
@@ -306,7 +306,7 @@ def _broken_in_words(errors: Mapping[Path, GbidError]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What the headings and names of the files of a folder say.
+    """Roles and units of columns according to headings and file names of a folder.
 
     Attributes
     ----------
@@ -324,7 +324,7 @@ class Survey:
 
 
 def survey(options: DraftOptions, content: FolderContent) -> Survey:
-    """Return the measured files of a folder, with the roles of their columns.
+    """Return the measured files of a folder with the roles of their columns.
 
     Raises
     ------
@@ -369,7 +369,7 @@ def survey(options: DraftOptions, content: FolderContent) -> Survey:
 
 
 def _sources(channels: Sequence[FileChannel], roles: Roles) -> dict[str, str]:
-    """Return the columns that measure the operating point: the only one with such a unit, for the speed also phi."""
+    """Return the columns of pressure and speed: the only column with a suitable unit, for the speed else phi."""
     unused = [channel for channel in channels if not channel.remark and not roles.columns[channel.name][0]]
     speeds = [channel.name for channel in unused if is_speed_unit(channel.unit or "")]
     pressures = [channel.name for channel in unused if factor_or_zero(channel.unit or "", "bar")]
@@ -385,7 +385,7 @@ def _stated_units(
     units: Mapping[str, str],
     reasons: dict[str, str],
 ) -> tuple[dict[str, str], dict[str, tuple[Calibration, ...]]]:
-    """Return units and calibrations that the mapping of a file states; add what must be given to the reasons.
+    """Return units and calibrations that a file mapping states; append missing ones to the reasons.
 
     Parameters
     ----------
@@ -438,7 +438,7 @@ def _stated_units(
 
 
 def _refuse_unknown(options: DraftOptions, channels: Mapping[Path, Sequence[FileChannel]]) -> None:
-    """Refuse given columns that are in no file."""
+    """Refuse given columns that no file has."""
     known = [[channel.name for channel in each] for each in channels.values()]
     wanted = [columns for each in options.signals.values() for columns in each]
     for columns in (*wanted, *([(options.time,)] if options.time else [])):
@@ -451,7 +451,7 @@ def _refuse_unknown(options: DraftOptions, channels: Mapping[Path, Sequence[File
 
 
 def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict[str, tuple[str, ...]], str | None]:
-    """Return the given columns of each signal, and of the time, as far as a file has them."""
+    """Return the given columns of each signal and of the time that a file contains."""
     names = [channel.name for channel in channels]
     given: dict[str, tuple[str, ...]] = {}
     for signal, entries in options.signals.items():
@@ -463,7 +463,7 @@ def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict
 
 
 def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the names of columns in a file: as given, or as another program writes them.
+    """Return the names of columns in a file, spelled as given or as another program writes them.
 
     That is with the name of a structure before them, and with other signs for those that a variable cannot have.
     """
@@ -489,7 +489,7 @@ STILL = 0.5e-6
 
 @dataclass(frozen=True, eq=False)
 class DraftedFile(MeasuredFile):
-    """One measured file with what its name and its signals say.
+    """Measured file with the information from its name and its signals.
 
     Attributes
     ----------
@@ -510,7 +510,7 @@ class DraftedFile(MeasuredFile):
 
 @dataclass(frozen=True, eq=False)
 class DraftData:
-    """Measured files with what they say together.
+    """Measured files with the common information from all of them.
 
     Attributes
     ----------
@@ -545,7 +545,7 @@ class DraftData:
 def read_data(
     options: DraftOptions, files: Sequence[MeasuredFile], broken: Mapping[Path, DataError] | None = None
 ) -> DraftData:
-    """Return what measured files say.
+    """Return operating points, kinds and conditions of measured files.
 
     Parameters
     ----------
@@ -600,7 +600,7 @@ def read_data(
 
 
 def _refuse_dead(file: MeasuredFile, rec: Recording) -> None:
-    """Refuse a disc position that stays at one value, or is at its limit for a fifth of the time."""
+    """Refuse a disc position that is constant, or at its limit for a fifth of the time."""
     for column, values in zip(file.signals["p"], rec.signal("p").T, strict=True):
         levels, counts = np.unique(values, return_counts=True)
         share = max(counts[0], counts[-1]) / len(values)
@@ -626,7 +626,7 @@ def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, 
 
 
 def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -> dict[str, float]:
-    """Return the operating point of a file: as given, by its name, or as measured.
+    """Return the operating point of a file: as given, from its name, or measured.
 
     Measured values are rounded to two digits of the pressure and three of the speed, so that repeated recordings agree.
     """
@@ -651,7 +651,7 @@ def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -
 
 
 def _plateau(values: FloatArray) -> float:
-    """Return the mean of the most values within 2 % of each other: a run-up has none of its speeds for long."""
+    """Return the mean of the largest group of values within 2 %; a run-up has no such plateau."""
     ordered = np.sort(values)
     ends = np.searchsorted(ordered, ordered + _SAME_SPEED * np.abs(ordered), side="right")
     start = int(np.argmax(ends - np.arange(len(ordered))))
@@ -662,7 +662,7 @@ _SAME_SPEED = 0.02
 
 
 def _notes_on_points(files: Sequence[MeasuredFile], recordings: Sequence[Recording]) -> list[str]:
-    """Return a note for each part of the operating point and each column that measures it."""
+    """Return a note for each part of the operating point, and for each column that measures it."""
     values: dict[tuple[str, str], list[float]] = {}
     for file, rec in zip(files, recordings, strict=True):
         for key, column in file.sources.items():
@@ -675,7 +675,7 @@ def _notes_on_points(files: Sequence[MeasuredFile], recordings: Sequence[Recordi
 
 
 def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[list[MeasuredFile], list[str]]:
-    """Return the files with a unit of the shaft angle where they state none, by the range of its numbers, and a note.
+    """Return the files with a unit of the shaft angle, guessed from the range if not stated, and a note on it.
 
     Degrees when an angle that falls back once a turn reaches beyond one turn in radians.
     """
@@ -699,7 +699,7 @@ def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[
 
 
 def _names(options: DraftOptions, files: Sequence[MeasuredFile]) -> NamesRead | None:
-    """Return the pattern of the names of the most files of one kind, or the given one."""
+    """Return the name pattern that most files of one kind match, or the given pattern."""
     if options.pattern is not None:
         pattern = name_pattern(options.pattern)
         if not any(pattern.read(file.path.name) is not None for file in files):
@@ -713,7 +713,7 @@ def _names(options: DraftOptions, files: Sequence[MeasuredFile]) -> NamesRead | 
 
 
 def _conditions(options: DraftOptions, names: NamesRead | None, path: Path) -> dict[str, float | None]:
-    """Return the operating point of a file: as given, or by the pattern, whatever the ending, or by its name alone.
+    """Return the operating point of a file: as given, by the pattern without file ending, or by its name alone.
 
     None where the name does not contain it.
     """
@@ -730,7 +730,7 @@ def _conditions(options: DraftOptions, names: NamesRead | None, path: Path) -> d
 
 
 def _part(options: DraftOptions, recordings: Sequence[Recording]) -> tuple[dict[str, float], list[str]]:
-    """Return the part that is used of all files, as given or with a constant speed of the shaft, and notes on it."""
+    """Return the time range used in all files, as given or with constant shaft speed, and notes on it."""
     given = {key: value for key in ("from_s", "to_s") if (value := getattr(options, key)) is not None}
     if given:
         return given, []
@@ -751,7 +751,7 @@ def _part(options: DraftOptions, recordings: Sequence[Recording]) -> tuple[dict[
 
 
 def _remarks(recordings: Sequence[Recording]) -> list[str]:
-    """Return the remarks of the import, one for all files whose remarks differ in numbers only."""
+    """Return the remarks of the import; remarks that differ only in numbers are merged."""
     alike: dict[str, list[str]] = {}
     for rec in recordings:
         if remark := rec.provenance.get("import_remarks"):
@@ -766,7 +766,7 @@ def _moves(rec: Recording) -> bool:
 
 
 def _kinds(names: NamesRead, files: Sequence[DraftedFile]) -> dict[str, Kind] | None:
-    """Return the kind of each word of the names, empty where gbid knows them all.
+    """Return the recording kind of each word in the file names; empty if gbid knows all words.
 
     None when the names do not tell the kinds that the signals show: a word has two kinds, or a stationary recording has
     no word.
@@ -783,7 +783,7 @@ def _kinds(names: NamesRead, files: Sequence[DraftedFile]) -> dict[str, Kind] | 
 
 
 def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str, ...]]:
-    """Return the number of harmonics of the run-out maps, and what is left over at each operating point, as text.
+    """Return the number of harmonics of the run-out maps, and a text on the remainder at each operating point.
 
     It is the largest number chosen at an operating point by stationary recordings on held-out data; None when no map
     can be compared.
@@ -813,7 +813,7 @@ def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str,
 
 @dataclass(frozen=True)
 class Draft:
-    """Drafted experiment.
+    """Drafted experiment with notes.
 
     Attributes
     ----------
@@ -836,7 +836,7 @@ def draft_experiment(
     complete: Callable[[MachineData], MachineData] | None = None,
     content: FolderContent | None = None,
 ) -> Draft:
-    """Return an experiment for a gas bearing with the recordings of a folder.
+    """Return a drafted experiment for a gas bearing from the recordings of a folder.
 
     Columns, units, operating points, kinds of recordings, the part with a constant speed and the harmonics of run-out
     are found in the files and their names, unless they are given.
@@ -881,7 +881,7 @@ _NEEDED = {
 
 
 def _unknown(options: DraftOptions) -> list[str]:
-    """Return a line on the numbers of the machine that are not given."""
+    """Return a line on missing numbers of the machine; empty if all are given."""
     missing = [words for key, words in _NEEDED.items() if getattr(options.machine, key) is None]
     if not missing:
         return []
@@ -890,7 +890,7 @@ def _unknown(options: DraftOptions) -> list[str]:
 
 
 def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
-    """Return the YAML of an experiment for a folder, from what was given and what the files say.
+    """Return the YAML text of an experiment from the given answers and the files.
 
     Raises
     ------
@@ -940,6 +940,6 @@ def _mapping_key(file: MeasuredFile) -> tuple[object, ...]:
 
 
 def _seconds(value: float) -> str:
-    """Return a time with a decimal point, as YAML needs it for a number."""
+    """Return a time as text with a decimal point, as YAML needs it for a number."""
     text = f"{value:.6g}"
     return text if "." in text else text.replace("e", ".0e") if "e" in text else f"{text}.0"

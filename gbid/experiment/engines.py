@@ -36,7 +36,7 @@ READY = "ready"
 
 
 def serve(connection: Connection) -> None:
-    """Run tasks until the pipe is closed.
+    """Run tasks that arrive through a pipe until the pipe is closed.
 
     A message is a job (pickled), which is used for the following tasks, or a task with its number. The worker answers a
     task with its number and the result of `attempt`. It ignores Ctrl-C, because the runner stops its workers. When the
@@ -61,7 +61,7 @@ def serve(connection: Connection) -> None:
 
 
 def collect_less() -> None:
-    """Leave what there is, as all that was imported, out of each collection of garbage, and collect less often.
+    """Exclude all present objects from garbage collection, and collect less often.
 
     Symbols and pictures are many objects, few of them garbage: a fit takes 6 % less.
     """
@@ -70,7 +70,7 @@ def collect_less() -> None:
 
 
 def _end_with_runner() -> None:
-    """Wait until the process that started this one has ended, and end this one."""
+    """Wait for the end of the parent process, then end this process."""
     runner = parent_process()
     if runner is not None:
         wait([runner.sentinel])
@@ -81,7 +81,7 @@ def _end_with_runner() -> None:
 
 
 def bare_job(job: Job) -> Job:
-    """Return the job for worker processes: absolute paths, no positions in the YAML, no reporter."""
+    """Return a job that can be sent to other processes: absolute paths, no YAML positions, no reporter."""
     experiment = job.experiment
     file = YamlFile(experiment.file.path.resolve(), {}, CommentedMap())
     bare = replace(experiment, file=file, results=experiment.results.resolve())
@@ -90,7 +90,7 @@ def bare_job(job: Job) -> Job:
 
 
 def bare_task(task: Task) -> Task:
-    """Return the task with an absolute path."""
+    """Return a task with an absolute path."""
     return replace(task, path=Path(task.path).resolve())
 
 
@@ -110,13 +110,13 @@ def attempt(job: Job, task: Task) -> Outcome | str:
 
 
 def completed(job: Job, task: Task) -> Outcome | None:
-    """Return the outcome of a task that a worker completed just before it died; None of others."""
+    """Return the outcome of a task that a worker completed just before it died; None for unfinished tasks."""
     outcome = standing(job, task) if task.path.exists() else None
     return replace(outcome, state="made") if outcome is not None and outcome.state == "kept" else None
 
 
 def outcome_of(answer: Outcome | str) -> Outcome:
-    """Return the outcome that a worker answered.
+    """Return the outcome in the answer of a worker.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class _Worker:
 
 
 class ProcessPool:
-    """Engine of processes with one BLAS thread each. They start with the first tasks and run until `close`.
+    """Engine with worker processes of one BLAS thread each, running from the first task until `close`.
 
     A runner without other threads is forked, which costs nothing. Otherwise processes are spawned, and each loads gbid.
 
@@ -176,7 +176,7 @@ class ProcessPool:
         return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`.
+        """Run tasks; yield index and outcome of each, as in `gbid.experiment.run.TaskEngine`.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class ProcessPool:
             self._workers[-1].send(shipped)
 
     def _bury(self, worker: _Worker) -> str:
-        """Remove a worker that died; return its signal or exit code as text."""
+        """Remove a dead worker; return its signal or exit code as text."""
         self._workers.remove(worker)
         worker.connection.close()
         worker.process.join(_PATIENCE)
@@ -271,7 +271,7 @@ class ProcessPool:
 
 
 def _after_death(job: Job, task: Task, times: int, how: str) -> Outcome | None:
-    """Return the outcome of a task whose worker died; None when it will be tried again."""
+    """Return the outcome of a task whose worker died; None if the task will be retried."""
     outcome = completed(job, task)
     if outcome is not None or times < ATTEMPTS:
         return outcome
@@ -280,7 +280,7 @@ def _after_death(job: Job, task: Task, times: int, how: str) -> Outcome | None:
 
 
 def _has_one_thread() -> bool:
-    """Return whether this process has no other thread, of Python or a library, that may hold a lock (on Linux)."""
+    """Return whether this process has a single thread, so that no other thread can hold a lock (Linux only)."""
     try:
         return len(list(Path("/proc/self/task").iterdir())) == 1
     except OSError:
@@ -289,7 +289,7 @@ def _has_one_thread() -> bool:
 
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Block Ctrl-C for processes started in this context; the terminal sends it to all its processes."""
+    """Block Ctrl-C for processes started in this context, because a terminal sends it to all of them."""
     if not hasattr(signal, "pthread_sigmask"):  # missing on some systems
         yield
         return
@@ -367,7 +367,7 @@ class DaskEngine:
             raise UsageError(f"{text}; start it, or correct the address") from None
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`.
+        """Run tasks; yield index and outcome of each, as in `gbid.experiment.run.TaskEngine`.
 
         As many tasks are reported as begun as there are threads: workers do not say which task they run. The reporter
         is told of each lost worker with the items that it had; these run on another worker, and their outcomes say so.
@@ -454,7 +454,7 @@ class DaskEngine:
                 self.client.cancel(list(sent))
 
     def close(self) -> None:
-        """Disconnect from the scheduler, and stop the workers that this engine started; a given client stays open."""
+        """Disconnect from the scheduler and stop workers that this engine started; a given client stays open."""
         if self._is_ours:
             self.client.close()
         if self._cluster is not None:
@@ -462,7 +462,7 @@ class DaskEngine:
 
 
 def _running_client(given: Any, kind: type) -> Any:
-    """Return a client of the user; refuse one that cannot run tasks, and other values."""
+    """Return a Dask client of the user; refuse a client that cannot run tasks."""
     if not isinstance(given, kind):
         raise UsageError(f"scheduler = {given!r}; give its address, such as tcp://host:8786, or a Dask client")
     client: Any = given
@@ -486,7 +486,7 @@ def _checked(answer: Outcome | str, task: Task) -> Outcome:
 
 
 def _local_cluster(n_workers: int) -> Any:
-    """Return a cluster of workers on this machine; try again when a worker dies at its start."""
+    """Return a Dask cluster on this machine; retry if a worker dies at its start."""
     import dask
     from distributed import LocalCluster
 
@@ -510,7 +510,7 @@ def _attempt_there(shipped: bytes, tasks: list[Task], alone: bool) -> list[Outco
 
 @lru_cache(maxsize=1)
 def _job_in(shipped: bytes, alone: bool) -> Job:
-    """Return the job that a worker received; `alone`: the worker runs nothing else."""
+    """Return the job that a worker received; with `alone`, the worker process runs only gbid tasks."""
     if alone:
         collect_less()
     job: Job = pickle.loads(shipped)
@@ -526,7 +526,7 @@ FEW = 8
 
 
 def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | Client | None = None) -> TaskEngine:
-    """Return an engine that runs tasks.
+    """Return the engine of a given name.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Examination of the machine: what gbid finds there, and what it does without."""
+"""Examination of this machine: compiler, cache, versions, disk and threads."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LITTLE = 1e9  # free space below which a campaign may not fit [bytes]
 
 
 class Verdict(Enum):
-    """Whether gbid has what it needs."""
+    """Assessment of a finding: good, usable with restrictions, or missing."""
 
     GOOD = "good"
     NOTE = "note"
@@ -36,7 +36,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one thing.
+    """Result of one check of this machine.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Finding:
     remedy: str = ""
 
     def document(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the finding as plain values."""
         return {**asdict(self), "verdict": self.verdict.value}
 
 

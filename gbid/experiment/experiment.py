@@ -1,4 +1,4 @@
-"""Experiment: its file, its contents, and the folder of its results."""
+"""Experiment: YAML file, planned recordings, plans of fits, and results folder."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _NAMED = 5  # largest number of files without match that are listed
 
 
 def digest_or_not(path: Path) -> str:
-    """Return the digest of a file, or a text in its place when the file cannot be read."""
+    """Return the digest of a file, or a fixed text if the file cannot be read."""
     try:
         return file_digest(path)
     except OSError:
@@ -54,7 +54,7 @@ def digest_or_not(path: Path) -> str:
 
 
 def with_linked(path: Path) -> list[Path]:
-    """Return a data file and the other files from which it takes data."""
+    """Return a data file and the files to which it links."""
     try:
         return [path, *map(Path, known(path, "linked", files_beside))]
     except OSError:
@@ -63,7 +63,7 @@ def with_linked(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class FoundFiles:
-    """Recordings of an import section, and the problems of its folder or table.
+    """Recordings that an import section finds, and the problems of its folder or table.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class FoundFiles:
 
 
 def find_files(section: ImportSection, base: Path) -> FoundFiles:
-    """Return the recordings of an import section: those listed first, then those of the folder and of the table.
+    """Return the recordings of an import section: listed ones first, then those of folder and table.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
 
 
 def by_count(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that puts run2 before run10."""
+    """Return a sort key of names that orders numbers by value: run2 before run10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
@@ -216,7 +216,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _number(text: str, decimal: str) -> float:
-    """Return the number of a cell; NaN when it is none."""
+    """Return the number in a table cell; NaN if it is not a number."""
     try:
         return float(text.replace(decimal, "."))
     except ValueError:
@@ -224,14 +224,14 @@ def _number(text: str, decimal: str) -> float:
 
 
 def _needed_point(section: ListedSection) -> list[str]:
-    """Return the conditions of the operating point that names or columns must give."""
+    """Return the parts of the operating point that file names or columns must state."""
     return [name for name in POINT if section.operating_point and name not in section.conditions]
 
 
 def _entry(
     section: ListedSection, file: str, name: str, word: str | None, conditions: dict[str, float]
 ) -> ImportedSection | str:
-    """Return the entry of one file, or a text with the reason why there is none."""
+    """Return the import entry of one file, or a text with the reason why it has none."""
     if word is not None and word not in section.kinds:
         return f"file {file}: unknown kind {word!r}; {nearest(word, section.kinds)}; add it to kinds"
     common: dict[str, Any] = {key: getattr(section, key) for key in FileSection.model_fields}
@@ -264,7 +264,7 @@ _EXTRA_SIGNALS = {
 
 @dataclass(frozen=True)
 class PlannedRecording:
-    """Recording that the rig will make or the import will read.
+    """Recording that the rig will simulate or the import will read.
 
     Attributes
     ----------
@@ -300,31 +300,31 @@ class PlannedRecording:
 
     @property
     def kind(self) -> str:
-        """Kind of recording: ``excited``, ``stationary``, ``staircase``, or another run, e.g. ``hammer``."""
+        """Kind of recording: ``excited``, ``stationary``, ``staircase``, or another run such as ``hammer``."""
         if self.excited or self.staircase:
             return "excited" if self.excited else "staircase"
         return "stationary" if self.stationary else str(self.run[0])
 
     @property
     def stationary(self) -> bool:
-        """Whether the piezos do not move, so that run-out maps can be made from the recording."""
+        """Whether the piezos stand still, so that run-out maps can be computed from the recording."""
         return not self.excited and not self.staircase and self.run[:1] in ((), ("stationary",))
 
     @property
     def in_loop(self) -> bool:
-        """Whether a controller of the section rig acts."""
+        """Whether a controller of the section rig closes the loop."""
         return self.run[:1] in (("loop",), ("loop_still",))
 
     @property
     def point(self) -> str:
-        """Operating point as text, e.g. ``p5_n6000``; ``any`` when the conditions contain no operating point."""
+        """Operating point as text, such as ``p5_n6000``; ``any`` if the conditions contain none."""
         pressure, speed = self.conditions.get("pressure_bar"), self.conditions.get("speed_rpm")
         parts = [f"{letter}{v:g}" for letter, v in (("p", pressure), ("n", speed)) if v is not None]
         return "_".join(parts) or NO_POINT
 
 
 def planned_recordings(spec: ExperimentFile, imports: FoundFiles) -> Iterator[PlannedRecording]:
-    """Yield the recordings of the rig, then those of files; names can still occur twice."""
+    """Yield the recordings of the rig, then the imported ones; names may occur twice before the checks."""
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
             yield from _at_point(spec.rig, point, ("rig", "operating_points", i))
@@ -344,7 +344,7 @@ def _rig_signals(rig: RigSection) -> dict[str, tuple[str, ...]]:
 
 
 def _at_point(rig: RigSection, point: OperatingPoint, location: Location) -> Iterator[PlannedRecording]:
-    """Yield the recordings of the rig at an operating point, run after run."""
+    """Yield the recordings of the rig at an operating point, run by run."""
     conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
     for word, count, run in _runs(rig, point):
         signals = {**_rig_signals(rig), **_EXTRA_SIGNALS.get(str(run[0]), {})}
@@ -355,7 +355,7 @@ def _at_point(rig: RigSection, point: OperatingPoint, location: Location) -> Ite
 
 
 def _runs(rig: RigSection, point: OperatingPoint) -> Iterator[tuple[str, int, tuple[str | int | bool, ...]]]:
-    """Yield the runs at an operating point: word of the names, number of recordings, and the run itself."""
+    """Yield the runs at an operating point: word in the names, number of recordings, and run."""
     yield "still", rig.stationary.recordings, ("stationary",)
     yield "prbs", rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings, ("prbs",)
     if rig.played is not None and _is_at(rig.played.at, point):
@@ -380,7 +380,7 @@ def _runs(rig: RigSection, point: OperatingPoint) -> Iterator[tuple[str, int, tu
 
 
 def _is_at(places: tuple[Place, ...] | None, point: Place) -> bool:
-    """Return whether a run is planned at an operating point; without a list it is planned at all."""
+    """Return whether a run is planned at an operating point; a run without a list is planned at all points."""
     return places is None or any((q.pressure_bar, q.speed_rpm) == (point.pressure_bar, point.speed_rpm) for q in places)
 
 
@@ -393,7 +393,7 @@ def _channels(signal: str, count: int, given: tuple[str, ...] | None) -> tuple[s
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Experiment file with its positions, and the folder of its results.
+    """Experiment file with its contents and positions, and the results folder.
 
     Attributes
     ----------
@@ -414,11 +414,11 @@ class Experiment:
 
     @property
     def folder(self) -> Path:
-        """Folder of the YAML; its relative paths start here."""
+        """Folder of the YAML file, the base of its relative paths."""
         return self.file.path.parent
 
     def folder_of(self, file: str) -> Path:
-        """Return the folder to which a file name is relative: that of the experiment, or the models of gbid."""
+        """Return the base folder of a file name: the folder of the experiment, or the models of gbid."""
         for folder in (self.folder, share_folder("models")):
             if (folder / file).is_file():
                 return folder
@@ -426,18 +426,18 @@ class Experiment:
 
     @cached_property
     def recordings(self) -> Mapping[str, PlannedRecording]:
-        """Recordings by name: those of the rig, then those of imported files."""
+        """Planned recordings by name: recordings of the rig, then imported recordings."""
         return {planned.name: planned for planned in planned_recordings(self.spec, self.imports)}
 
     @cached_property
     def imports(self) -> FoundFiles:
-        """Files that the import section names or finds in its folder, searched once."""
+        """Files that the import section lists or finds in its folder, searched once."""
         section = self.spec.imported
         return find_files(section, self.folder) if section is not None else FoundFiles()
 
     @cached_property
     def points(self) -> Mapping[str, list[PlannedRecording]]:
-        """Recordings by operating point."""
+        """Planned recordings by operating point."""
         points: dict[str, list[PlannedRecording]] = {}
         for planned in self.recordings.values():
             points.setdefault(planned.point, []).append(planned)
@@ -445,7 +445,7 @@ class Experiment:
 
     @cached_property
     def fits_of(self) -> Mapping[str, list[str]]:
-        """Names of the fits that use a recording, by the name of the recording."""
+        """Names of the fits that use a recording, keyed by the name of the recording."""
         fits: dict[str, list[str]] = {}
         for fit in self.spec.fits:
             for planned in self.fit_recordings(fit):
@@ -469,7 +469,7 @@ class Experiment:
         return [q for q in excited if q.imported is not None or q.in_loop == closed]
 
     def path(self, folder: str, *names: str, ending: str = ".h5") -> Path:
-        """Return the path of a result by the names of its folders and its own; a long one is cut, with a digest."""
+        """Return the path of a result from folder and file names; a long name is shortened with a digest."""
         *above, last = map(file_stem, names)
         return self.results.joinpath(self.folders.get(folder, folder), *above, f"{last}{ending}")
 
@@ -482,7 +482,7 @@ class Experiment:
         *,
         ending: str = ".h5",
     ) -> Result:
-        """Return a result of a stage with its content key, the only place where these keys are made.
+        """Return the result file of a stage with its content key; all content keys are computed here.
 
         Parameters
         ----------
@@ -506,7 +506,7 @@ class Experiment:
         return self.folder / needed(self.spec.imported, "import").data_folder / entry.file
 
     def origin(self, recordings: Iterable[str] = (), fit: str = "") -> dict[str, Any]:
-        """Return what a result came from: the YAML, its seeds, and its data files, with their sha256.
+        """Return the provenance of a result: the YAML, its seeds, and its data files with sha256.
 
         Paths are relative to the folder of the experiment.
 
@@ -525,7 +525,7 @@ class Experiment:
         return {"experiment": yaml, "seeds": self._seeds, "data": data}
 
     def beside(self, path: str | Path) -> str:
-        """Return a path relative to the folder of the experiment: results name no folders of this machine's users."""
+        """Return a path relative to the folder of the experiment, so that results contain no user folders."""
         try:
             return Path(os.path.relpath(Path(path).resolve(), self.folder.resolve())).as_posix()
         except ValueError:  # on another drive
@@ -533,7 +533,7 @@ class Experiment:
 
     @cached_property
     def _seeds(self) -> dict[str, int]:
-        """Seeds of the YAML with their defaults, by the keys that lead to them."""
+        """Seeds of the YAML, defaults included, by their keys."""
         seeds: dict[str, int] = {}
 
         def search(value: Any, keys: str) -> None:
@@ -547,7 +547,7 @@ class Experiment:
         return seeds
 
     def problem(self, location: Location, text: str) -> Problem:
-        """Return a problem at the position of a key."""
+        """Return a problem with the file position of a key."""
         return Problem(self.file.position(location), dotted(location), text)
 
 
@@ -559,7 +559,7 @@ Check = Callable[[Experiment], Found]
 
 
 def changed_files(experiment: Experiment) -> list[str]:
-    """Return a text for each YAML file named in an experiment whose checksum is not that of its lines."""
+    """Return a text for each YAML file of an experiment whose contents do not match its checksum."""
     notes = []
     for name in dict.fromkeys(_named(experiment.file.data)):
         path = experiment.folder_of(name) / name
@@ -590,7 +590,7 @@ RESPONSES = "responses"
 
 @lru_cache(maxsize=64)
 def fit_models(experiment: Experiment, fit: str) -> Mapping[str, list[str]]:
-    """Return the models of a fit by name, each with its recordings; cached, because each model asks for its own."""
+    """Return the recordings of each model of a fit, by model name; cached."""
     names, section = [q.name for q in experiment.fit_recordings(fit)], experiment.spec.fits[fit]
     if section.responses and not names:
         return {RESPONSES: []}
@@ -598,7 +598,7 @@ def fit_models(experiment: Experiment, fit: str) -> Mapping[str, list[str]]:
 
 
 def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
-    """Return the recordings to which one model of a fit is fitted."""
+    """Return the recordings to which a model of a fit is fitted."""
     return fit_models(experiment, fit)[model]
 
 
@@ -640,14 +640,14 @@ def _validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]
 
 
 def figure_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
-    """Return the pairs of the figures of a fit: those of its cross-validation, else each model on its recordings."""
+    """Return model and recording of each figure of a fit: the validation pairs, else each model on its recordings."""
     if fit in experiment.spec.crossval:
         return validation_pairs(experiment, fit)
     return [(model, name) for model, names in fit_models(experiment, fit).items() for name in names]
 
 
 def _next(experiment: Experiment, model: str, models: list[str]) -> str:
-    """Return the next recording of the same operating point; empty when there is none."""
+    """Return the next recording at the operating point of a recording; empty without one."""
     if model not in experiment.recordings:  # of a fit to frequency responses alone
         return ""
     point = experiment.recordings[model].point

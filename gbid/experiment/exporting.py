@@ -1,4 +1,4 @@
-"""Models and controllers that `gbid export` finds in an experiment or file, and their export."""
+"""Export of models and controllers of an experiment or file, as `gbid export` does."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LONGEST = 50  # characters of a name in C and MATLAB, with room for what is add
 
 @dataclass(frozen=True, eq=False)
 class Exports:
-    """What can be exported from a source.
+    """Models, controllers and recordings of a source that can be exported.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Exports:
 def find_exports(
     source: str, at: Point | None = None, results: Path | None = None, announce: Callable[[str], None] | None = None
 ) -> Exports:
-    """Return the models and controllers of an experiment, model, controller file or fit.
+    """Return the models and controllers of an experiment, model file, controller file or fit.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def find_exports(
 
 
 def _stored(path: Path) -> ExportItem:
-    """Return the recording or the fit in a file; the recording has the name of its file."""
+    """Return the recording or the fit in a file; a recording gets the name of its file."""
     value = load(path)
     if not isinstance(value, FitResult | Recording):
         raise UsageError(f"{path}: a {type(value).__name__} is not exported; give a fit or a recording")
@@ -173,7 +173,7 @@ def _of_experiment(experiment: Experiment, at: Point | None) -> Exports:
 
 
 def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
-    """Return items whose names differ, also where they are made of names that differ in a dot or a blank only."""
+    """Return items with unique names; repeated names get numbers."""
     named: dict[str, ExportItem] = {}
     for item in items:
         names = (item.name, *(f"{item.name}_{count}" for count in range(2, len(named) + 3)))
@@ -183,7 +183,7 @@ def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
 
 
 def _tuned(job: Job, name: str) -> ControllerDesign:
-    """Return a tuned design of the experiment; one of the user's own structure with this structure."""
+    """Return a tuned design of the experiment; a user-defined structure is loaded from its file."""
     path, section = job.path(TUNED, name, ending=".yaml"), job.experiment.spec.controller[name]
     if not path.is_file():
         raise DataError(f"{path}: file is missing; `gbid tune` makes it")
@@ -192,7 +192,7 @@ def _tuned(job: Job, name: str) -> ControllerDesign:
 
 
 def made_maps(job: Job) -> tuple[RunoutMap, ...]:
-    """Return the run-out maps that the prefilter of the experiment has stored, one for each operating point."""
+    """Return the run-out maps stored by the prefilter, one for each operating point."""
     points = job.experiment.points if job.experiment.spec.prefilter is not None else ()
     paths = [path for point in points if (path := job.path(MAP_FOLDER, point)).is_file()]
     maps = [load(path, PrefilterFile).runout_map for path in paths]
@@ -211,7 +211,7 @@ _WORDS = {
 
 
 def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Path]:
-    """Write everything that a target takes, all files or none, and return the files.
+    """Write the files of a target, all or none, and return their paths.
 
     The files are written into a folder beside and renamed at the end, see `gbid.core.files.atomic_set`.
 

@@ -1,4 +1,4 @@
-"""Types of values in an experiment YAML, problems of the file, and content keys of results."""
+"""Base classes and types of the experiment YAML, its problems, and content keys of result files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _as_list(value: Any) -> Any:
 
 
 def _one_or_several(kind: dict[str, Any], fewest: int = 1) -> WithJsonSchema:
-    """Return a schema for editors that allows a single value in place of a list."""
+    """Return a JSON schema that allows a single value in place of a list."""
     return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": fewest}]})
 
 
@@ -78,7 +78,7 @@ class OptionsSection(BaseModel, frozen=True):
 
 
 def needed(section: T | None, name: str) -> T:
-    """Return a section of the YAML; refuse an experiment without it.
+    """Return a section of the YAML; refuse an experiment without the section.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def needed(section: T | None, name: str) -> T:
 
 
 def given(value: Any) -> Any:
-    """Return the value; refuse a key without a value."""
+    """Return a value; refuse a key with an empty value."""
     if value is None:
         raise ValueError("is empty; write {} for the defaults, or leave the key out")
     return value
@@ -99,7 +99,7 @@ def given(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Deferred:
-    """Mark of a type in the YAML that is made when the first value of it is read: what it needs is slow to import.
+    """Marker for a YAML type whose checks are imported at the first value, because the import is slow.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Deferred:
         return TypeAdapter(self.form())
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the schema of pydantic: a function that checks a value by the type."""
+        """Return the pydantic schema: a function that checks a value against the type."""
         return no_info_plain_validator_function(lambda value: self._adapter.validate_python(value))
 
     def __get_pydantic_json_schema__(self, _: Any, handler: Callable[[Any], Any]) -> Any:
@@ -132,7 +132,7 @@ Found = Iterator[tuple[Location, str]]
 
 @dataclass(frozen=True)
 class Problem:
-    """Problem of an experiment file.
+    """Problem of an experiment file with its position.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class Problem:
 
 
 class ExperimentError(UsageError):
-    """Error for an experiment file; `problems` contains all its problems."""
+    """Error with all `problems` of an experiment file."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -166,7 +166,7 @@ def in_file_order(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def dotted(location: Location) -> str:
-    """Return a location as text, e.g. ``fits.bearing.bounds.tau_x[1]``."""
+    """Return a location as text, such as ``fits.bearing.bounds.tau_x[1]``."""
     text = ""
     for key in location:
         text += f"[{key}]" if isinstance(key, int) else f".{key}"
@@ -175,7 +175,7 @@ def dotted(location: Location) -> str:
 
 @contextmanager
 def about(key: str) -> Iterator[None]:
-    """Return a context whose errors are about a key of a section, unless they name another one."""
+    """Return a context that adds a key to errors that name no key."""
     try:
         yield
     except GbidError as error:
@@ -184,7 +184,7 @@ def about(key: str) -> Iterator[None]:
 
 
 def refusal(where: Location, made: Callable[[], object], key: str = "") -> Found:
-    """Yield the error of what cannot be made, at the key below a location that it names, else at the one given."""
+    """Yield the error of a function call as a problem at the key that it names, else at a given location."""
     try:
         made()
     except GbidError as error:
@@ -193,7 +193,7 @@ def refusal(where: Location, made: Callable[[], object], key: str = "") -> Found
 
 
 def schema_faults(model: type[BaseModel], data: Any, error: ValidationError) -> dict[Location, str]:
-    """Return the text of each fault that pydantic finds in the YAML, by location, in plain words for its author.
+    """Return the text of each pydantic fault in the YAML, by location, in plain words.
 
     A value that has none of several forms is one fault. A list with faulty entries is reported by its entries; that
     pydantic then finds it too short is not reported.
@@ -206,7 +206,7 @@ def schema_faults(model: type[BaseModel], data: Any, error: ValidationError) -> 
 
 
 def _either(forms: list[str]) -> str:
-    """Return one text for the reasons why a value has none of several forms."""
+    """Return one text for a value that matches none of several forms."""
     ending = forms[-1][forms[-1].rfind(", found ") :]
     first, *others = (text.removesuffix(ending) for text in forms)
     return " or ".join([first, *(text.removeprefix("expected ") for text in others)]) + ending
@@ -254,7 +254,7 @@ _EXPECTED = {
 
 
 def _location(data: Any, fault: ErrorDetails) -> Location:
-    """Return the location of a fault in the YAML: that of pydantic without its words for the forms of a value.
+    """Return the location of a fault in the YAML: the pydantic location without names of union branches.
 
     Such a word (of a branch of a union, of a key itself) may be a key of the YAML, too. The right location is that of
     the value that pydantic found faulty, which is the same object unless a validator made another one of it.
@@ -266,7 +266,7 @@ def _location(data: Any, fault: ErrorDetails) -> Location:
 
 
 def _ways(data: Any, keys: Location) -> Iterator[tuple[Location, Any]]:
-    """Yield the ways from a value along keys, some of which are left out, and the value where each ends."""
+    """Yield location and value of each path through the data along a subsequence of keys."""
     if not keys:
         yield (), data
         return
@@ -278,7 +278,7 @@ def _ways(data: Any, keys: Location) -> Iterator[tuple[Location, Any]]:
 
 
 def _keys_at(kind: Any, location: Location) -> list[str]:
-    """Return the keys that the schema allows at a location of pydantic, which names the form of a value by its tag."""
+    """Return the allowed keys at a pydantic location, in which tags name the form of a value."""
     for key in location:
         kind, forms = _inner_type(kind), get_args(_inner_type(kind))
         if get_origin(kind) in (dict, list, tuple):
@@ -292,7 +292,7 @@ def _keys_at(kind: Any, location: Location) -> list[str]:
 
 
 def _inner_type(kind: Any) -> Any:
-    """Return a type without ``Annotated[...]`` and ``... | None``."""
+    """Return a type with ``Annotated[...]`` and ``... | None`` removed."""
     if get_origin(kind) is Annotated:
         deferred = next((mark for mark in kind.__metadata__ if isinstance(mark, Deferred)), None)
         return _inner_type(deferred.form() if deferred else get_args(kind)[0])
@@ -339,7 +339,7 @@ def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] 
 
 
 class InputError(DataError):
-    """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
+    """Error for a missing or outdated input of a task; the task itself is not at fault."""
 
 
 _VERBS = {"prefilter": "fit", "ringdown": "impact", "recording": "cycle"}  # of stages without their own verb
@@ -347,7 +347,7 @@ _VERBS = {"prefilter": "fit", "ringdown": "impact", "recording": "cycle"}  # of 
 
 @dataclass(frozen=True)
 class Item:
-    """What one result of a stage is about; as text ``bearing/p5_n6000_prbs1``, ``map p5_n6000`` or ``bearing.csv``.
+    """Subject of one result of a stage; as text ``bearing/p5_n6000_prbs1``, ``map p5_n6000`` or ``bearing.csv``.
 
     Attributes
     ----------
@@ -371,7 +371,7 @@ class Item:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of which its text consists, as those of folders and file."""
+        """Names in the text of the item, as used for folders and file."""
         *above, last = filter(None, (self.round, self.section, self.model))
         return (*above, self.form.format(last))
 
@@ -381,7 +381,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Result:
-    """Result file of a stage.
+    """Result file of a stage with its content key.
 
     Attributes
     ----------
@@ -399,11 +399,11 @@ class Result:
 
     @property
     def is_made(self) -> bool:
-        """Whether the file exists and was made from the present settings and data."""
+        """Whether the file exists and belongs to the present settings and data."""
         return stored_key(self.path) == self.key
 
     def require(self) -> Path:
-        """Return the path of the file after a check that it was made from the present settings and data.
+        """Return the path of the file after a check that it belongs to the present settings and data.
 
         Raises
         ------
@@ -432,7 +432,7 @@ def file_digest(path: Path) -> str:
 
 
 def stored_key(path: Path) -> str:
-    """Return the content key in a result file; empty when the file has none, is damaged or cannot be read."""
+    """Return the content key in a result file; empty if it has none, is damaged or cannot be read."""
     try:
         return known(path, "key", _key_in)
     except OSError:
@@ -456,7 +456,7 @@ def _key_in(path: Path) -> str:
 
 
 def is_current(path: Path, key: str, overwrite: bool) -> bool:
-    """Return whether a result exists already and was made from the same settings and data.
+    """Return whether a result exists and was computed from equal settings and data.
 
     Raises
     ------
@@ -481,7 +481,7 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
 
 @contextmanager
 def writing_keyed(path: Path, key: str, origin: Mapping[str, Any] = MappingProxyType({})) -> Iterator[Path]:
-    """Return a context that gives a path to write to; at its end the file gets its key and replaces `path`.
+    """Return a context with a path to write; at its end the file gets its content key and replaces `path`.
 
     An HDF5 file also gets its origin, beside the versions of the programs that wrote it.
     """
@@ -498,7 +498,7 @@ def writing_keyed(path: Path, key: str, origin: Mapping[str, Any] = MappingProxy
 
 
 def _plain(value: Any) -> Any:
-    """Return arrays as lists, and other values (models, read-only mappings) as the dict of all that they hold."""
+    """Return arrays as lists, and models and mappings as dicts of their values."""
     if isinstance(value, Mapping):
         return dict(value)
     if is_dataclass(value):

@@ -1,4 +1,4 @@
-"""Schema of the goals of a design: one section for each goal of gbid.control, made from its arguments.
+"""Schema of the goals of a design: one section for each goal of `gbid.control`, generated from its arguments.
 
 It is imported when a YAML has goals.
 """
@@ -106,7 +106,7 @@ _Spectrum = Annotated[
 
 
 def _section_of(kind: type[Goal]) -> type[Section]:
-    """Return the section of a goal: its arguments by name, those with a default optional."""
+    """Return the section class of a goal; arguments with a default are optional keys."""
     hints = get_type_hints(kind)
     arguments: dict[str, Any] = {"goal": (cast(Any, Literal)[kind.__name__], ...)}
     for argument in fields(cast(Any, kind)):
@@ -119,7 +119,7 @@ def _section_of(kind: type[Goal]) -> type[Section]:
 
 
 def _named(value: Any) -> Any:
-    """Return an entry of the list; refuse one without the name of a goal, and unknown names."""
+    """Return a goal entry of the list; refuse unknown goals, and entries without a goal."""
     if not isinstance(value, dict) or "goal" not in value:
         raise ValueError(f"expected a goal with its arguments, such as {{goal: MaxDamping}}, found {value!r}")
     if str(value["goal"]) not in GOALS:

@@ -1,4 +1,4 @@
-"""Reading of an experiment YAML, checks across its sections, its JSON schema, and checks of recordings."""
+"""Loading of an experiment YAML: checks across sections, JSON schema, and checks of recordings."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from gbid.structure.kinds import kind_of
 
 
 def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str]]:
-    """Return the problems that all checks find.
+    """Return the problems found by all checks across sections.
 
     A check stays silent about values that another check reports as missing.
 
@@ -72,7 +72,7 @@ def has_recordings(experiment: Experiment) -> Found:
 
 
 def names_are_unique(experiment: Experiment) -> Found:
-    """Yield a problem for each recording whose name another recording has already."""
+    """Yield a problem for each recording with a name that an earlier recording already has."""
     rig = experiment.spec.rig
     points = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
     twice: dict[Location, int] = {
@@ -150,7 +150,7 @@ def load_experiment(
 
 
 def _parse(data: Any) -> tuple[ExperimentFile | None, dict[Location, str]]:
-    """Return the parsed file, or the faults of its form by location: keys, types, ranges."""
+    """Return the parsed file, or its faults of keys, types and ranges by location."""
     try:
         return ExperimentFile.model_validate(data), {}
     except ValidationError as error:
@@ -158,7 +158,7 @@ def _parse(data: Any) -> tuple[ExperimentFile | None, dict[Location, str]]:
 
 
 def _without(data: Any, locations: Iterable[Location]) -> Any:
-    """Return a copy of the data without some values; None when a whole section would have to be removed."""
+    """Return a copy of the data without some values; None if a whole section would be removed."""
     data = deepcopy(data)
     for location in locations:
         if not location:  # a key that is no text
@@ -173,7 +173,7 @@ def _without(data: Any, locations: Iterable[Location]) -> Any:
 
 
 def _touches(location: Location, others: Iterable[Location]) -> bool:
-    """Return whether a problem may come from a removed value: at the same key, or at one above or below it."""
+    """Return whether a removed value may cause a problem: equal keys, or one above the other."""
     return any(location[: len(other)] == other[: len(location)] for other in others)
 
 
@@ -216,7 +216,7 @@ def experiment_json_schema() -> dict[str, Any]:
 
 
 def _without_null(value: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of an optional section without null; the checks refuse an empty section."""
+    """Return the schema of an optional section without null, because the checks refuse an empty section."""
     kinds = [kind for kind in value.get("anyOf", []) if kind != {"type": "null"}]
     if len(kinds) != 1 or "$ref" not in kinds[0]:
         return value
@@ -224,7 +224,7 @@ def _without_null(value: dict[str, Any]) -> dict[str, Any]:
 
 
 def _described_arguments(words: str) -> dict[str, str]:
-    """Return the descriptions of the arguments of the function or class that a docstring names, by argument."""
+    """Return the argument descriptions of the function or class that a docstring names, by argument."""
     target = _SEE.search(words)
     if not target:
         return {}
@@ -283,7 +283,7 @@ def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple
 
 
 def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> Iterator[str]:
-    """Yield a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
+    """Yield a text for each recording of a fit whose sample time differs from most of its recordings."""
     for fit in experiment.spec.fits:
         known = [q.name for q in experiment.fit_recordings(fit) if q.name in seen]
         if any(seen[name].is_irregular for name in known):
@@ -361,7 +361,7 @@ def controllers_too_slow(experiment: Experiment) -> Iterator[str]:
 
 
 def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, int]:
-    """Return the estimated size of all results and the free space of their disk.
+    """Return the estimated size of all results and the free disk space.
 
     Returns
     -------
@@ -383,7 +383,7 @@ def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, i
 
 
 def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:
-    """Return the problems of the recordings that show before a run.
+    """Return the problems of the recordings that can be found before a run.
 
     Returns
     -------

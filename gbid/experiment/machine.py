@@ -1,4 +1,4 @@
-"""The rig of an experiment: its model, its machine and runs, and the true values of parameters."""
+"""Virtual rig of an experiment: model, machine, runs, and true values of parameters."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _GOLDEN = 0.6180339887
 
 @lru_cache(maxsize=4)
 def rig_machine(experiment: Experiment) -> PublishedMachine:
-    """Return the machine of the rig: by name, or from a YAML file relative to the experiment or the models folder.
+    """Return the machine of the rig by name, or from a YAML file relative to the experiment or the models folder.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def rig_model(experiment: Experiment) -> lpv.LPVModel:
 
 
 def machine_data(experiment: Experiment) -> lpv.MachineData:
-    """Return what is known of the machine of an experiment: of its section machine, else of its virtual rig."""
+    """Return the machine data of an experiment: from the section machine, else from its virtual rig."""
     rig = experiment.spec.rig
     given = lpv.MachineData(*(getattr(experiment.spec.machine, entry.name) for entry in fields(lpv.MachineData)))
     return (
@@ -106,7 +106,7 @@ def outside_domain(domain: lpv.Domain, name: str, point: Place, where: Location)
 
 
 def machine_at(experiment: Experiment, planned: PlannedRecording) -> Machine:
-    """Return the rig at the operating point of a recording, before any scatter.
+    """Return the rig at the operating point of a recording, before random scatter.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def machine_at(experiment: Experiment, planned: PlannedRecording) -> Machine:
 
 @lru_cache(maxsize=256)
 def _machine_at(experiment: Experiment, pressure_bar: float, speed_rpm: float) -> Machine:
-    """Return the rig at a pressure and speed; cached, because many recordings are made at each operating point."""
+    """Return the rig at a pressure and speed; cached, because each operating point has many recordings."""
     rig = needed(experiment.spec.rig, "rig")
     parameters = _true_parameters(rig_model(experiment), pressure_bar, speed_rpm)
     return Machine.from_parameters(
@@ -147,7 +147,7 @@ def _film(rig: RigSection, pressure_bar: float, speed_rpm: float) -> FilmPoint |
 
 
 def course_of(experiment: Experiment, planned: PlannedRecording) -> Course | None:
-    """Return the course of pressure and speed of a recording; None at a constant operating point.
+    """Return the pressure and speed over time of a recording; None at a constant operating point.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
 
 
 def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
-    """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
+    """Return the impacts of a recording, at times between samples as with a real hammer."""
     times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
     impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
     samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
@@ -219,7 +219,7 @@ def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
 
 
 def _played(experiment: Experiment, name: str) -> Played:
-    """Return the run that plays the references of a file.
+    """Return the run that plays the references in a file.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def clearance_of_rig(
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """One recording of the rig: the arguments of `gbid.rig.record` except the controller.
+    """Arguments of `gbid.rig.record` for one recording, except the controller.
 
     Attributes
     ----------
@@ -286,11 +286,11 @@ class PlannedRun:
     surfaces: Surfaces | None = None
 
     def record(self, controller: SampledController | ProgramController | None = None) -> Recording:
-        """Return the recording, with the controller in the loop when there is one."""
+        """Return the simulated recording, in closed loop if a controller is given."""
         return record(self.machine, self.experiment, surfaces=self.surfaces, controller=controller, **self.options)
 
     def settings(self) -> dict[str, Any]:
-        """Return all values for the content key of the recording."""
+        """Return all values that enter the content key of the recording."""
         return {
             **self.options,
             "experiment": {type(self.experiment).__name__: self.experiment},
@@ -299,7 +299,7 @@ class PlannedRun:
 
 
 def rig_run(experiment: Experiment, planned: PlannedRecording) -> PlannedRun:
-    """Return the run of the rig for a recording.
+    """Return the planned run of the rig for a recording.
 
     Raises
     ------
@@ -330,7 +330,7 @@ def _stacks(section: ActuatorSection) -> PiezoStacks:
 
 
 def true_values(experiment: Experiment, recordings: Sequence[str], structure: AnyStructure) -> dict[str, float]:
-    """Return the true values of the parameters of a structure.
+    """Return the true values of the parameters of a structure for recordings of the rig.
 
     They are known for recordings of the rig at one operating point and built-in structures.
 
@@ -363,7 +363,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
 
 
 def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
-    """Return the true values that all recordings share; scatter changes them, and stacks have no linear parameters."""
+    """Return the true values common to all recordings: without scattered parameters, and without stack parameters."""
     rig = needed(experiment.spec.rig, "rig")
     conditions = planned[0].conditions
     known = _true_parameters(rig_model(experiment), conditions["pressure_bar"], conditions["speed_rpm"])
@@ -379,7 +379,7 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
 
 
 def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
-    """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
+    """Return the structure at its true values with zero disturbance gains; None if some values are unknown."""
     values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
     linear = kind_of(structure).linear
     if linear is None or not truth or any(q.name not in values for q in structure.parameters):

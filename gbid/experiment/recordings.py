@@ -1,4 +1,4 @@
-"""Recordings as inputs of later stages: their content keys, and checks of their signals."""
+"""Recordings as inputs of later stages: result files, content keys, signal checks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gbid.recording.recording import load_recording
 
 
 def mapping_of(entry: ImportedSection) -> dict[str, Any]:
-    """Return an entry as the mapping for `gbid.import_recording`."""
+    """Return an import entry as the mapping for `gbid.import_recording`."""
     mapping = entry.model_dump(exclude={"file", "kind", "remove_mean"}, exclude_none=True)
     for signal in mapping["signals"].values():
         del signal["rests_at_limits"]
@@ -46,7 +46,7 @@ def refuse_bad_signals(
     kinds: Sequence[ProblemKind] | None = None,
     driving: Iterable[str] = (),
 ) -> None:
-    """Refuse a recording when `gbid.recording.find_problems` finds a problem in one of the channels used.
+    """Refuse a recording if `gbid.recording.find_problems` finds a problem in a used channel.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def used_channels(experiment: Experiment, recording: str) -> list[str]:
 
 
 def driving_channels(experiment: Experiment, recording: str) -> list[str]:
-    """Return the signals and channels of a recording that are inputs of fits, and outputs of none."""
+    """Return the signals and channels of a recording that are inputs but no outputs of fits."""
     measured = set(_measured_channels(experiment, recording))
     fits = experiment.fits_of.get(recording, ())
     used = dict.fromkeys(name for fit in fits for name in fit_channels(experiment, fit)[0])
@@ -105,7 +105,7 @@ def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
 
 
 def recording_result(experiment: Experiment, planned: PlannedRecording) -> Result:
-    """Return the result file of a recording of the rig or of a file."""
+    """Return the result file of a simulated or imported recording."""
     if planned.controller:  # the file of the controller is made while the cycle runs
         settings = {**rig_run(experiment, planned).settings(), **loop_settings(experiment)}
         running = stored_key(experiment.results / planned.controller)
@@ -119,7 +119,7 @@ def recording_result(experiment: Experiment, planned: PlannedRecording) -> Resul
 
 @lru_cache(maxsize=1 << 16)
 def _rig_result(experiment: Experiment, name: str) -> Result:
-    """Return the result file of a recording of the rig; cached, because all stages after it stand on its key."""
+    """Return the result file of a recording of the rig; cached, because the keys of all later stages need its key."""
     planned, sources = experiment.recordings[name], list[Result | str]()
     settings = rig_run(experiment, planned).settings()
     if planned.in_loop:
@@ -136,13 +136,13 @@ def recording_tasks(
     write: Callable[..., Made | None],
     chosen: Callable[[PlannedRecording], bool],
 ) -> list[Task]:
-    """Return a task for each chosen recording, which makes its result by ``write(job, part, name=...)``."""
+    """Return a task for each chosen recording that computes it by ``write(job, part, name=...)``."""
     recordings = filter(chosen, job.experiment.recordings.values())
     return [Task.of(result(job.experiment, q), partial(write, name=q.name), [q.name]) for q in recordings]
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:
-    """Return a recording that an earlier stage made from the present settings.
+    """Return a recording that an earlier stage stored with the present settings.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class RecordingSignals:
-    """Properties of the signals of a recording.
+    """Stored properties of the signals of a recording: rms values, correlation, problems.
 
     Attributes
     ----------
@@ -189,13 +189,13 @@ class RecordingSignals:
 
 
 def save_made(recording: Recording, planned: PlannedRecording, part: Path) -> None:
-    """Write a recording that a stage made; an excited one with the properties of its signals for `read_signals`."""
+    """Write a recording of a stage; an excited one with the signal properties for `read_signals`."""
     document = _signals_document(recording, planned) if planned.excited else None
     save(recording, part, overwrite=True, document=document)
 
 
 def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[str, Any]:
-    """Return the properties of the signals of a recording, as in `RecordingSignals`, as plain values."""
+    """Return the signal properties of a recording as plain values, as in `RecordingSignals`."""
     named = [signal for signal in recording.signals if signal != "phi"]
     signals = {
         signal: [
@@ -218,7 +218,7 @@ def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[s
 
 
 def read_signals(job: Job, name: str) -> RecordingSignals:
-    """Return the properties of the signals of an existing recording, as they were stored with it."""
+    """Return the stored signal properties of a recording."""
     planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
     document = known(path, DOCUMENT, partial(read_document, kind=Recording.FILE))
     return RecordingSignals(name, planned.kind, planned.point, **document)

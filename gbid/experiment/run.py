@@ -1,4 +1,4 @@
-"""Run of an experiment: its job, tasks with their outcomes, failures that are remembered, and stages."""
+"""Run of an experiment: job, tasks, outcomes, remembered failures, and stages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Cause = Literal["", "input", "data", "usage", "defect", "crash"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one result file.
+    """Outcome of one result file: state, cause of failure, and summary.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Made:
-    """Summary of a result; the fields are those of `Outcome`."""
+    """Summary of a result; its fields are fields of `Outcome` as well."""
 
     text: str = ""
     converged: bool = True
@@ -81,13 +81,13 @@ class Made:
 
 
 class Reporter:
-    """Receiver of the progress of stages; this one ignores it."""
+    """Receiver of the progress of stages; this base class ignores all events."""
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Receive the numbers of items of a stage to make, existing, and failed before; their outcomes follow."""
+        """Receive the numbers of new, existing and previously failed items of a stage, before their outcomes."""
 
     def begin(self, item: Item) -> None:
-        """Receive the start of work on an item."""
+        """Receive the start of an item."""
 
     def iteration(self, progress: Progress) -> None:
         """Receive an iteration of the solver."""
@@ -96,7 +96,7 @@ class Reporter:
         """Receive a step of a search for gains."""
 
     def lose(self, items: Sequence[Item], count: int) -> None:
-        """Receive the items of a worker that was lost, which are tried again, and the number of workers lost so far."""
+        """Receive the items of a lost worker, which are retried, and the number of lost workers so far."""
 
     def end(self, outcome: Outcome) -> None:
         """Receive the outcome of an item."""
@@ -107,7 +107,7 @@ class Reporter:
 
 @dataclass(frozen=True)
 class Task(Result):
-    """Task that makes one result file, in any process.
+    """Task that computes one result file, in any process.
 
     Attributes
     ----------
@@ -132,11 +132,11 @@ class Task(Result):
         recordings: Iterable[str] = (),
         read: Callable[[Path], Made] | None = None,
     ) -> Task:
-        """Return the task that makes a result."""
+        """Return the task that computes a result."""
         return cls(result.item, result.path, result.key, write, tuple(recordings), read)
 
     def failed(self, failure: Failure, before: bool = False) -> Outcome:
-        """Return the outcome of the task after a failure, of this run or one before."""
+        """Return the outcome of the task after a failure in this or an earlier run."""
         return Outcome(self.item, self.path, "failed", failure.text, cause=failure.cause, before=before)
 
     def ended(self, state: State, made: Made, seconds: float = 0.0) -> Outcome:
@@ -145,10 +145,10 @@ class Task(Result):
 
 
 class TaskEngine(Protocol):
-    """Engine: it runs tasks in this process or in others."""
+    """Engine that runs tasks in this process or in others."""
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; yield number and outcome of each as soon as it ends, in any order.
+        """Run tasks; yield index and outcome of each as soon as it ends, in any order.
 
         The engine informs the reporter of the job when a task begins. Closing the generator stops the running tasks.
 
@@ -166,7 +166,7 @@ class TaskEngine(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """Job: an experiment with the options of its run.
+    """Experiment with the options of its run.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ class Job:
     command: str = ""
 
     def path(self, *names: str, ending: str = ".h5") -> Path:
-        """Return the path of a result, as `Experiment.path`."""
+        """Return the path of a result, as `Experiment.path` does."""
         return self.experiment.path(*names, ending=ending)
 
 
@@ -242,7 +242,7 @@ def remember_failure(job: Job, result: Result, failure: Failure) -> None:
 
 
 def remembered_failure(job: Job, result: Result) -> Failure | None:
-    """Return the recorded failure of a result with the same settings and data; None without a readable record."""
+    """Return the recorded failure of a result for equal settings and data; None without a readable record."""
     try:
         document = json.loads(failure_path(job, result).read_text(encoding="utf-8"))
         failure = Failure(*(str(document[key]) for key in ("key", "cause", "text", "details")))  # type: ignore[arg-type]
@@ -252,7 +252,7 @@ def remembered_failure(job: Job, result: Result) -> Failure | None:
 
 
 def cause_of(error: GbidError) -> Cause:
-    """Return the kind of cause of an error: a missing input, wrong options, or bad data."""
+    """Return the kind of cause of an error: missing input, wrong options, or bad data."""
     if isinstance(error, InputError):
         return "input"
     return "usage" if isinstance(error, UsageError) else "data"
@@ -262,7 +262,7 @@ def cause_of(error: GbidError) -> Cause:
 
 
 def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
-    """Keep the results that are current and make the others with the engine of the job.
+    """Keep current results and compute the others with the engine of the job.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] |
 
 
 def standing(job: Job, task: Task) -> Outcome | None:
-    """Return the outcome of a task that need not run, because its result is current or it failed before; else None.
+    """Return the outcome of a task that need not run: its result is current or it failed before; else None.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def standing(job: Job, task: Task) -> Outcome | None:
 
 
 def perform(job: Job, task: Task) -> Outcome:
-    """Run a task and return its outcome; an error becomes an outcome, so that the other tasks go on.
+    """Run a task and return its outcome; an error becomes a failed outcome, so that other tasks continue.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def fail(job: Job, task: Task, failure: Failure) -> Outcome:
 
 
 def produce(job: Job, result: Result, write: Callable[[Path], str | None]) -> Outcome:
-    """Keep a result, or make it in this process; bad data become an outcome, so that the other results go on.
+    """Keep a result or compute it in this process; bad data become a failed outcome, so that other results continue.
 
     Parameters
     ----------
@@ -417,16 +417,16 @@ def _failure_of(task: Task, error: Exception) -> Failure:
 
 
 class InTurn:
-    """Engine that runs one task after the other in this process."""
+    """Engine that runs tasks one by one in this process."""
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run the tasks in their order; yield number and outcome of each."""
+        """Run the tasks in order; yield index and outcome of each."""
         for number, task in enumerate(tasks):
             job.reporter.begin(task.item)
             yield number, perform(job, task)
 
     def close(self) -> None:
-        """Do nothing: there are no workers."""
+        """Do nothing, because there are no workers."""
 
 
 # ---- View of a stage: its JSON document for programs, and tables of it for people.
@@ -451,7 +451,7 @@ class View:
 
 
 def outcomes_view(stage: str, key: str) -> View:
-    """Return the view of a stage without its own: a list of its outcomes, under a key of the JSON document."""
+    """Return the default view of a stage: the list of its outcomes under a key of the JSON document."""
     columns = [Column("item"), Column("state"), Column("text", wrap=True)]
 
     def document(_: Job, outcomes: Sequence[Outcome]) -> Document:
@@ -472,7 +472,7 @@ Work = Sequence[Task | Outcome]
 
 
 def no_tasks(_: Job) -> Work:
-    """Return no work: the section of such a stage only describes, and the stage checks it."""
+    """Return no work, for a stage whose section is only checked."""
     return ()
 
 
@@ -483,7 +483,7 @@ def has_section(experiment: Experiment, key: str) -> bool:
 
 @dataclass(frozen=True)
 class Stage:
-    """Stage of an experiment.
+    """Stage of an experiment: YAML section, checks, and tasks that compute its results.
 
     Attributes
     ----------
@@ -516,12 +516,12 @@ class Stage:
     view: View | None = None
 
     def work(self, job: Job) -> Work:
-        """Return the work of the section; none when the YAML has no such section."""
+        """Return the work of the section; empty if the YAML has no such section."""
         return self.tasks(job) if has_section(job.experiment, self.section) else ()
 
 
 def run_stage(job: Job, stage: Stage) -> list[Outcome]:
-    """Make or keep the results of a stage and return their outcomes.
+    """Compute or keep the results of a stage and return their outcomes.
 
     Returns
     -------
@@ -539,7 +539,7 @@ def run_stage(job: Job, stage: Stage) -> list[Outcome]:
 
 
 def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
-    """Make the results that start from those of the stage's tasks; return the outcomes of both."""
+    """Compute the follow-up results of a stage; return the outcomes of its tasks and of the follow-up."""
     outcomes = list(made)
     for work in stage.then if has_section(job.experiment, stage.section) else ():
         outcomes += do_work(job, work(job, outcomes))
@@ -547,7 +547,7 @@ def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
 
 
 def do_work(job: Job, work: Work) -> list[Outcome]:
-    """Run tasks and return their outcomes, after those of items that need no task."""
+    """Run tasks and return their outcomes, after the outcomes that need no task."""
     settled = [item for item in work if isinstance(item, Outcome)]
     for outcome in settled:
         job.reporter.end(outcome)

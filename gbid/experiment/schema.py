@@ -496,7 +496,7 @@ class StaticSection(Section):
 
 
 def wanted_signals(section: StaticSection) -> dict[str, str]:
-    """Return the signals by the key that names them, with the defaults of the functions."""
+    """Return the signals of a static section by key, with defaults filled in."""
     source = {} if section.kind == "piezo" else {"source": section.source or "u"}
     position = section.position or ("u" if section.kind == "piezo" else "p")
     return {"command": section.command or "r", **source, "position": position}
@@ -665,7 +665,7 @@ _FORMS = {"g": _NUMBER, "d": r"[-+]?\d+", "": r"[^/]+?"}
 
 
 def name_of(text: str) -> str:
-    """Return a text of a file name as the name of a recording: blanks and other signs become ``_``."""
+    """Return a file name as a recording name: blanks and special characters become ``_``."""
     plain = unicodedata.normalize("NFKD", unicodedata.normalize("NFC", text).translate(_SPELT))
     word = re.sub(r"[^A-Za-z0-9_.+-]+", "_", plain.encode("ascii", "ignore").decode()).strip("_")
     return word if word[:1].isalnum() else f"r{word}"
@@ -673,7 +673,7 @@ def name_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class NamePattern:
-    """Pattern of file names.
+    """Pattern of file names with fields for conditions.
 
     Attributes
     ----------
@@ -693,7 +693,7 @@ class NamePattern:
     regex: re.Pattern[str]
 
     def read(self, path: str) -> dict[str, str | float] | None:
-        """Return the fields of a file name; None when it does not match.
+        """Return the fields of a file name; None without a match.
 
         Parameters
         ----------
@@ -763,7 +763,7 @@ _THOUSANDS = re.compile(r"\d{1,3}[.,]\d{3}")  # 4.200 rpm: decimals or a thousan
 
 @dataclass(frozen=True)
 class NamesRead:
-    """Pattern that the names of files have in common.
+    """Common pattern of a set of file names.
 
     Attributes
     ----------
@@ -780,7 +780,7 @@ class NamesRead:
     factors: Mapping[str, float] = field(default_factory=dict)
 
     def read(self, file: str) -> dict[str, str | float] | None:
-        """Return the fields of a file name; None when it does not match."""
+        """Return the fields of a file name; None without a match."""
         fields = self.pattern.read(file)
         factors = self.factors if fields else {}
         return fields and {**fields, **{key: float(f"{float(fields[key]) * f:.12g}") for key, f in factors.items()}}
@@ -792,7 +792,7 @@ def tokens_of(name: str) -> list[str]:
 
 
 def read_names(files: Sequence[str]) -> NamesRead | None:
-    """Return the pattern of file names of one form: equal words and signs, with numbers that may differ.
+    """Return the pattern of file names with equal words and signs and different numbers.
 
     A number before ``bar`` or after ``p`` is the pressure, one before ``rpm``, ``Umin``, ``1-min`` or after ``n`` the
     speed. One word may differ between the files.
@@ -842,7 +842,7 @@ def _form(token: str) -> str:
 
 
 def _quantities(tokens: Sequence[str]) -> dict[int, tuple[str, float]]:
-    """Return the quantities of the numbers among the tokens of a name, with the factor to its unit, by their places.
+    """Return the quantities of the numbers in a file name by position, each with the factor to its unit.
 
     A word is the unit of the number before it, unless it is joined to the one behind it, or that before it is joined to
     a word of its own: V1 rpm4200.
@@ -867,7 +867,7 @@ _PASCALS = {"pa": "Pa", "kpa": "kPa", "mpa": "MPa"}
 
 
 def _unit(word: str, joined: bool) -> tuple[str, float] | None:
-    """Return the quantity of a unit and its factor; a single letter is one right behind a number only."""
+    """Return quantity and factor of a unit; a single letter counts only right behind a number."""
     if pressure := factor_or_zero(_PASCALS.get(word, word), "bar"):
         return "pressure_bar", pressure
     parts = re.fullmatch(r"(.+?)[\W_]*(?:p(?:er|ro)[\W_]*)?min|min[\W_]+(1)", word)
@@ -880,7 +880,7 @@ def _unit(word: str, joined: bool) -> tuple[str, float] | None:
 
 
 def factor_or_zero(unit: str, target: str) -> float:
-    """Return the factor of a unit to another one; 0 where it is none of this quantity."""
+    """Return the factor from one unit to another; 0 if the quantities differ."""
     try:
         return conversion_factor(unit, target)
     except UsageError:

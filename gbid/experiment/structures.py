@@ -1,4 +1,4 @@
-"""Structures of fits, built from their names and options in the YAML, and loops of them."""
+"""Structures of fits from names and options in the YAML, in open or closed loop."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from gbid.structure.user import called, checked
 def looped(
     experiment: Experiment, structure: AnyStructure, section: LoopSection, fit: str, *, planned: bool = False
 ) -> ClosedLoop:
-    """Return the loop of a structure and the controller of a section.
+    """Return the closed loop of a structure with the controller of a section.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def looped(
 def _law(
     experiment: Experiment, section: LoopSection, fit: str, planned: bool
 ) -> tuple[LinearModel | Structure, float | None]:
-    """Return the controller for `ClosedLoop`, and the sample time at which it is to be sampled there."""
+    """Return the controller for `ClosedLoop`, and the sample time of its discretisation (None: continuous)."""
     controller = found_controller(experiment, section, planned=planned)
     if not isinstance(controller, control.ControllerDesign):
         if section.delay_s is not None:
@@ -108,7 +108,7 @@ def _law(
 
 
 def _with_delayed_output(model: LinearModel, delay: float) -> LinearModel:
-    """Return a continuous controller whose output is late by an exact delay [s]."""
+    """Return a continuous controller with an exact output delay [s]."""
     if not delay:
         return model
     if model.D.any() or model.delay is not None:
@@ -121,7 +121,7 @@ def _with_delayed_output(model: LinearModel, delay: float) -> LinearModel:
 
 
 def _conditions(experiment: Experiment, fit: str) -> dict[str, float]:
-    """Return the operating point that all recordings of a fit share; empty when they have several."""
+    """Return the common operating point of all recordings of a fit; empty if they have several."""
     points = [dict(planned.conditions) for planned in experiment.fit_recordings(fit)]
     return points[0] if points and all(point == points[0] for point in points) else {}
 
@@ -131,13 +131,13 @@ def _plant(poles: Literal["real", "any"] = "real", **options: Any) -> Structure:
 
 
 def _magnetic_bearing(**options: Any) -> Structure:
-    """Return magnetic bearings of a rigid rotor from the options of both."""
+    """Return a rigid rotor on magnetic bearings from the options of rotor and bearings."""
     chain = {key: options.pop(key) for key in _OF_AMPLIFIERS if key in options}
     return MagneticBearing(RigidRotor(**options), **chain)
 
 
 def _scheduled(build: Callable[..., Structure], **options: Any) -> ScheduledStructure:
-    """Return a scheduled structure from the options of the base and its schedule."""
+    """Return a scheduled structure from the options of base structure and schedule."""
     schedule = {key: options.pop(key) for key in _OF_SCHEDULE if key in options}
     return scheduled(build(**options), **schedule)
 
@@ -160,7 +160,7 @@ BUILT_IN: dict[str, tuple[Callable[..., Structure | ScheduledStructure], tuple[s
 
 
 def make_structure(experiment: Experiment, fit: str, *, planned: bool = False) -> AnyStructure:
-    """Return the structure of a fit, that of the loop if its recordings were made in one.
+    """Return the structure of a fit, in closed loop if its recordings were made in one.
 
     Parameters
     ----------
@@ -212,12 +212,12 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
 
 
 def _offered(name: str) -> tuple[Any, str] | None:
-    """Return the structure that another package offers under a name, and the package; None for a Python file."""
+    """Return a structure that an installed package offers, and the package; None for a Python file."""
     return None if file_of(name) else offered("gbid.structures", name)
 
 
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
-    """Return the settings of a structure for its content key: name, options, and the digest of its file."""
+    """Return the settings of a structure for its content key: name, options, and digest of its file."""
     spec = experiment.spec.fits[fit]
     file = file_of(spec.structure)
     settings: dict[str, Any] = {"name": spec.structure, "options": spec.options.model_dump(exclude_none=True)}
@@ -231,7 +231,7 @@ def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
 
 
 def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
-    """Return the structure of a fit as it is planned; None when another check reports it."""
+    """Return the planned structure of a fit; None if it has errors, which another check reports."""
     try:
         return make_structure(experiment, fit, planned=True)
     except GbidError:
@@ -239,7 +239,7 @@ def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
 
 
 def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) -> Disturbances:
-    """Return the disturbances of the outputs that a fit estimates along.
+    """Return the output disturbances that a fit estimates.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) 
 
 
 def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the inputs and outputs of a fit: those of its section, else those of its structure.
+    """Return the inputs and outputs of a fit: from its section, else from its structure.
 
     ``inputs: []`` is a free decay, without inputs.
 
@@ -269,7 +269,7 @@ def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tup
 
 
 def output_labels(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
-    """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
+    """Return the labels of the output channels of a fit, such as ``p_x``; empty for unknown channels."""
     planned = experiment.fit_recordings(fit)
     signals = planned[0].signals if planned else {}
     labels: list[str] = []

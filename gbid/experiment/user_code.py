@@ -1,4 +1,4 @@
-"""Python files that an experiment names: executed once in a process, and told of when their content is new."""
+"""Python files that an experiment names: executed once per process, with a notice about new contents."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _made: dict[tuple[str, ...], Any] = {}  # modules by path and digest, structures
 
 
 def file_of(reference: str) -> str:
-    """Return the file that ``file.py:name`` names; empty for a word without a name in a file."""
+    """Return the file in ``file.py:name``; empty for other texts."""
     return reference.rpartition(":")[0]
 
 
 def user_structure_or_model(reference: str, folder: Path) -> AnyStructure | LinearModel:
-    """Return the structure or the model named as ``file.py:name``; its file is executed once for each content.
+    """Return the structure or model named as ``file.py:name``; each file content is executed once.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def user_structure(reference: str, folder: Path) -> AnyStructure:
 
 
 def forget_failures() -> None:
-    """Let files whose execution failed be executed again: what they import may be there now."""
+    """Allow files whose execution failed to be executed again, for imports that exist now."""
     for key in [key for key, made in _made.items() if isinstance(made, UsageError)]:
         del _made[key]
 
@@ -72,7 +72,7 @@ _SEEN = "seen-code"
 
 
 def new_code(experiment: Experiment) -> Iterator[str]:
-    """Yield a text for each Python file whose content gbid has not told of before, and remember that.
+    """Yield a text for each Python file whose contents are new to this user, and remember the contents.
 
     The cache folder of the user remembers: a results folder may come from the same stranger as the file. A folder that
     others may write to is not believed.
@@ -102,7 +102,7 @@ def _python_files(experiment: Experiment) -> set[Path]:
 
 
 def _references(spec: ExperimentFile) -> Iterator[str]:
-    """Yield the texts of a YAML that name something in a Python file."""
+    """Yield the texts of a YAML that name an object in a Python file."""
     pending: list[Any] = [spec.model_dump()]
     while pending:
         value = pending.pop()

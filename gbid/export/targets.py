@@ -52,7 +52,7 @@ class ExportItem:
 
 @dataclass(frozen=True, eq=False)
 class ExportRequest:
-    """Request of the user: source, chosen items, folder and options of the target.
+    """Request of the user to an export target: folder, overwriting, operating point, number type and mass.
 
     Attributes
     ----------

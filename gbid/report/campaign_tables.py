@@ -1,4 +1,4 @@
-"""Tables of a campaign, of the channels of a file, and of the origin of results."""
+"""Tables of a campaign, of the channels of a file, and of the provenance of results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def campaign_document(
 
 
 def _fit_of_campaign(table: identify.FitTable, name: str) -> Row:
-    """Return numbers of converged and missing fits of one name, their median fit percent, and the worst fit."""
+    """Return the converged and missing counts of a fit name, its median fit percent, and its worst fit."""
     rows = table.select(fit=name)
     made = np.isfinite(rows.fit_percent).any(axis=1)
     smallest = rows.fit_percent[made].min(axis=1, initial=np.inf)
@@ -82,12 +82,12 @@ def campaign_tables(document: Row) -> list[Table]:
 
 
 def conditions_text(conditions: Mapping[str, float]) -> str:
-    """Return conditions as text."""
+    """Return the operating conditions of a recording as text."""
     return ", ".join(f"{key} {value:g}" for key, value in conditions.items())
 
 
 def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
-    """Return the channels of a file of another program as plain values."""
+    """Return the channels of a measured file as plain values."""
     return [
         {
             "channel": channel.name,
@@ -105,7 +105,7 @@ def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
 
 
 def channel_table(name: str, rows: Sequence[Row]) -> Table:
-    """Return the table of the channels of a file, from `channel_rows`."""
+    """Return the table of the channels of a measured file, from `channel_rows`."""
     columns = {
         "channel": Column("channel"),
         "samples": Column("samples", format="d"),
@@ -127,7 +127,7 @@ def channel_table(name: str, rows: Sequence[Row]) -> Table:
 
 
 def _rising(row: Row) -> str:
-    """Return what is known of a column that may be the time."""
+    """Return a text on a column that may be the time, such as its step."""
     if row["step"] is None:
         return ""
     rate = ""
@@ -140,7 +140,7 @@ def _rising(row: Row) -> str:
 
 
 def layout_words(layout: Mapping[str, str | int | None]) -> str:
-    """Return the layout of a text file as one line; empty for a file of another kind."""
+    """Return the layout of a text file as one line; empty for other kinds of files."""
     return ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in layout.items() if value is not None)
 
 
@@ -148,7 +148,7 @@ def layout_words(layout: Mapping[str, str | int | None]) -> str:
 
 
 def origin_table(origins: Iterable[Mapping[str, Any]]) -> Table:
-    """Return the table of what results were made with; different values of several results stand side by side.
+    """Return the provenance table of results; a row with different values lists them side by side.
 
     Parameters
     ----------

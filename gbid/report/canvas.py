@@ -1,4 +1,4 @@
-"""Canvas of all figures: style, sizes for a two-column report, lines that differ also in grey, units in labels."""
+"""Canvas of all figures: style, sizes for a two-column report, line styles for grey prints, units in labels."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LONGEST = 48
 
 
 def figure_of(drawn: Drawn) -> Figure:
-    """Return the figure of what a picture function returned.
+    """Return the matplotlib figure that contains the result of a picture function.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def figure_of(drawn: Drawn) -> Figure:
 
 
 def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str = "") -> None:
-    """Write a figure as png, pdf or svg, the same bytes each time.
+    """Write a figure as png, pdf or svg; equal figures give equal bytes.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str
 
 
 def print_figure(figure: Figure, target: Path | TextIO, kind: str, metadata: Mapping[str, str | None]) -> None:
-    """Write a figure; `Figure.savefig` would draw it twice, the first time only for its layout.
+    """Write a figure with one drawing; `Figure.savefig` would draw it twice, once only for the layout.
 
     Parameters
     ----------
@@ -106,20 +106,20 @@ def missing_letters_as_boxes() -> Iterator[None]:
 
 
 def plain_label(text: str) -> str:
-    """Return free text for a figure: it is drawn as it is, also where it looks like mathematics, and cut when long."""
+    """Return free text for a figure: drawn literally even if it looks like mathematics, shortened if long."""
     text = printable(text)
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
     return text.replace("$", r"\$")
 
 
 def unit_label(unit: str, values: npt.ArrayLike = ()) -> tuple[float, str]:
-    """Return the factor and the label of a unit in figures of values, of which some may be NaN; see `shown_unit`."""
+    """Return factor and label of a unit for plotted values, of which some may be NaN; see `shown_unit`."""
     factor, shown = shown_unit(unit, float(np.nanmax(np.abs(values), initial=0.0)))
     return factor, plain_label(shown or "-")
 
 
 def symbol(name: str) -> str:
-    """Return the name of a channel as the paper writes it: ``p_x`` with an index. Other names stay as they are."""
+    """Return the symbol of a channel in the paper's notation: ``p_x`` with an index; other names stay unchanged."""
     match = _SYMBOL.fullmatch(name)
     if match is None:
         return plain_label(name)
@@ -157,7 +157,7 @@ _COLOURS = (
 
 @contextmanager
 def own_style() -> Iterator[None]:
-    """Return a context with the style of gbid; the settings of matplotlib are restored afterwards.
+    """Return a context with the figure style of gbid; afterwards the settings of matplotlib are restored.
 
     The colours of paper and ink are those of the reader who works with pyplot, so that pictures fit a dark style. A
     program that does not use pyplot, as the command line, draws on white.
@@ -176,13 +176,13 @@ _MAKER: ContextVar[Callable[..., Figure]] = ContextVar("maker", default=Figure)
 
 
 def new_figure(size: tuple[float, float]) -> Figure:
-    """Return a new figure of a size [inch]: one of its own, or within `shown_by_pyplot` one of pyplot."""
+    """Return a new figure of a size [inch]: independent of pyplot, or within `shown_by_pyplot` managed by pyplot."""
     return _MAKER.get()(figsize=size, layout="constrained")
 
 
 @contextmanager
 def shown_by_pyplot() -> Iterator[None]:
-    """Return a context in which the new figure belongs to pyplot, so that notebooks and ``plt.show()`` show it.
+    """Return a context in which pyplot manages the new figure, so that notebooks and ``plt.show()`` show it.
 
     pyplot makes it before the style of gbid holds: its first figure chooses the backend, and turns interactive mode on
     in a notebook. Within the style this would be taken back at its end.
@@ -209,7 +209,7 @@ def shown_by_pyplot() -> Iterator[None]:
 
 
 def around_public(function: Callable[..., Any], arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
-    """Return the context of a call of a public function from outside of gbid.
+    """Return the context for a call of a public function by a user.
 
     A picture function without axes gets a figure of pyplot where that is imported, so that a notebook and `plt.show()`
     show it. A program without pyplot, and a thread beside the main one, where no window can be opened, gets a figure
@@ -228,7 +228,7 @@ def around_public(function: Callable[..., Any], arguments: tuple[Any, ...], keyw
 def panels(
     ax: _Given, rows: int = 1, columns: int = 1, *, size: tuple[float, float], **options: Any
 ) -> tuple[Figure, npt.NDArray[np.object_]]:
-    """Return the axes that were given, or those of a new figure with panels.
+    """Return the given axes, or the axes of a new figure with several panels.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def panels(
 
 
 def one_panel(ax: Axes | None, size: tuple[float, float]) -> tuple[Figure, Axes]:
-    """Return the axes that were given, or those of a new figure with one panel, and their figure."""
+    """Return the given axes or the axes of a new figure with one panel, and the figure."""
     figure, (panel,) = panels(ax, size=size)
     return figure, panel
 
@@ -280,12 +280,12 @@ def channel_pairs(
 
 
 def ink() -> str:
-    """Return the colour of the text: black, and light where the reader has chosen a dark style of matplotlib."""
+    """Return the text colour: black, or light if the reader uses a dark style of matplotlib."""
     return str(mpl.rcParams["text.color"])
 
 
 def series(i: int, **changes: Any) -> dict[str, Any]:
-    """Return the style of the i-th curve with changes; a property that is changed to None is left out."""
+    """Return the style of the i-th curve with changes; a change to None removes the property."""
     style = {**SERIES[i % len(SERIES)], **(_AGAIN if i >= len(SERIES) else {}), **changes}
     if style.get("color") == BLACK:
         style["color"] = ink()

@@ -1,4 +1,4 @@
-"""Sections on designs (comparison, Pareto front, pictures, gain explorer), impacts, the cycle, and loops."""
+"""Report sections on designs, impacts, the identification-for-control cycle, and recordings in closed loop."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SHOWN_S = 0.1
 
 
 def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
-    """Return pictures of a design at its worst operating point, and of its damping over the operating range."""
+    """Return pictures of a design: its worst operating point, and its damping over the operating range."""
     worst, point = design.figures.worst["sampled_damping"]
     row = int(np.flatnonzero((design.figures.points == point).all(axis=1))[0])
     place, plant, controller = point_label(*point), design.plant.plant_at(*point), design.at(point)
@@ -82,7 +82,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
 
 
 def _shown_frequencies(plant: LinearModel, sample_time: float) -> FloatArray:
-    """Return frequencies from a thirtieth of the slowest mode to ten times the fastest, up to half the rate [Hz]."""
+    """Return frequencies [Hz] from 1/30 of the slowest mode to ten times the fastest, up to the Nyquist frequency."""
     modes = [frequency for frequency, _ in plant.modes()] or [1e-3 / sample_time]
     highest = 0.5 / sample_time
     return np.geomspace(min(min(modes) / 30, highest / 10), min(10 * max(modes), highest), 300)
@@ -137,7 +137,7 @@ def _impact(
 
 
 def held_back(design: TunedDesign) -> list[str]:
-    """Return the warnings of a design: limits that are not met, and gains on their bounds."""
+    """Return the warnings of a design: violated limits and gains at their bounds."""
     result = design.result
     texts = []
     if not result.success:
@@ -150,7 +150,7 @@ def held_back(design: TunedDesign) -> list[str]:
 
 
 def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
-    """Return blocks with the tuning result of each design, and all designs over robustness and damping."""
+    """Return blocks with the tuning result of each design, and a figure of robustness and damping of all designs."""
     tuned = results.designs.made
     blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:
@@ -182,7 +182,7 @@ _BY_POINT = (
 
 
 def controller_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the designs and the gain explorer; None without designs and surfaces with actuators."""
+    """Return the section on designs with the gain explorer; None without designs and surfaces for closed loops."""
     designs, model, spec = results.assessed, results.loop_model, results.experiment.spec
     item = next((name for name, fit in results.surfaces.items() if fit.model is model), None)
     if not spec.controller and item is None:
@@ -220,7 +220,7 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
 
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
-    """Return a table of the modes in the paper, and those of this model with the published gains."""
+    """Return a table that compares the modes in the paper with the modes of this model at the published gains."""
     source = published_machine(results.experiment, results.experiment.spec.controller.get(design.group))
     rows: list[list[Entry]] = []
     for known in source.reference_modes if source is not None else ():
@@ -258,7 +258,7 @@ def _by_point(design: AssessedDesign) -> Block:
 
 
 def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the rounds of the cycle; None when the experiment has none."""
+    """Return the section on the rounds of the cycle; None if the experiment has no cycle."""
     section = results.experiment.spec.cycle
     if section is None:
         return None
@@ -275,7 +275,7 @@ def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:
 
 
 def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the impact studies; None when the experiment has none."""
+    """Return the section on the impact studies; None if the experiment has no impacts."""
     if results.experiment.spec.impacts is None:
         return None
     blocks: list[Block] = []
@@ -295,7 +295,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
 
 
 def loops_section(results: Results) -> PageSection | None:
-    """Return the section with standard deviations in the loop and without; None when no fit stands beside another."""
+    """Return the section that compares standard deviations in closed and open loop; None without such fits."""
     fits = results.experiment.spec.fits.values()
     if not any(fit.loop is not None and fit.loop.beside for fit in fits):
         return None

@@ -21,7 +21,7 @@ _RADIUS = 0.13
 
 
 def diagram(ax: Axes | None, width: float, top: float, inches: float, bottom: float = 0.0) -> Axes:
-    """Return axes with `width` units for a diagram; new axes are `inches` wide."""
+    """Return axes of `width` units for a diagram; the figure of new axes is `inches` wide."""
     _, ax = one_panel(ax, (inches, inches * (top - bottom) / width))
     ax.set(xlim=(0, width), ylim=(bottom, top), aspect="equal")
     ax.set_axis_off()
@@ -30,7 +30,7 @@ def diagram(ax: Axes | None, width: float, top: float, inches: float, bottom: fl
 
 @dataclass(frozen=True)
 class Block:
-    """Block with the points at which wires end."""
+    """Block of a diagram with the points at which wires end."""
 
     x: float
     y: float
@@ -71,7 +71,7 @@ def block(
 
 
 def total(ax: Axes, x: float, y: float, **signs: str) -> Block:
-    """Draw a sum; signs by side, as ``left="+", bottom="-"``, are written beside the wires that end there."""
+    """Draw a summing junction; signs by side, such as ``left="+", bottom="-"``, stand beside the wires."""
     ax.add_patch(Circle((x, y), _RADIUS, facecolor=FILL, edgecolor=BLACK, linewidth=_LINE))
     places = {"left": (-0.24, 0.13), "right": (0.24, 0.13), "top": (0.15, 0.24), "bottom": (0.15, -0.24)}
     for side, sign in signs.items():
@@ -92,7 +92,7 @@ def wire(ax: Axes, points: Sequence[Point], arrow: bool = True, **style: Any) ->
 
 
 def chain(ax: Axes, *places: Block | Point) -> None:
-    """Draw a wire from each block to the next one on its right; the first and the last place may be points."""
+    """Draw a wire from each block to the next block on its right; the ends may be points."""
     for begin, end in pairwise(places):
         wire(ax, [begin.right if isinstance(begin, Block) else begin, end.left if isinstance(end, Block) else end])
 
@@ -108,7 +108,7 @@ def word(ax: Axes, x: float, y: float, text: str, **options: Any) -> None:
 
 
 def frame(ax: Axes, x: float, y: float, width: float, height: float, text: str, down: float = 0.1) -> None:
-    """Draw a tinted frame around a group, from its lower left corner, with its name `down` below its top."""
+    """Draw a tinted frame around a group from its lower left corner; its name stands `down` below the top."""
     style = "round,pad=0,rounding_size=0.1"
     box = FancyBboxPatch((x, y), width, height, style, facecolor=TINT, edgecolor="none", zorder=0)
     ax.add_patch(box)

@@ -1,4 +1,4 @@
-"""Gain explorer of the page: damping, peak of S_o and static amplification over the gains of P controllers."""
+"""Gain explorer of the report: damping, peak of S_o and static amplification over the gains of P controllers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CORNER_HZ = 1000.0
 
 
 def explorer_part(model: LPVModel, words: str, designs: Sequence[tuple[str, Any, Mapping[str, float]]]) -> Templated:
-    """Return the gain explorer as a block of the page.
+    """Return the gain explorer as a block of the report.
 
     Parameters
     ----------

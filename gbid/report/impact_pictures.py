@@ -1,4 +1,4 @@
-"""Impact responses of several loops: mean and standard deviation over the impacts, along x and along y."""
+"""Figures of impact responses: measured and simulated, and of several loops with mean and standard deviation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ImpactCurves(Brief):
 
 @styled
 def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
-    """Draw impact responses, with the forces below.
+    """Draw impact responses of the disc, with the forces below.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
 
 
 def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
-    """Return the validation of the recording with impacts along an axis.
+    """Return the validation of the recording whose impacts are along a given axis.
 
     Raises
     ------

@@ -40,7 +40,7 @@ from gbid.structure import LinearModel
 
 @dataclass(frozen=True, eq=False)
 class DampingMap(Brief):
-    """Smallest damping factor over the operating range.
+    """Smallest damping factor of the modes over the operating range.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def _damping_curve(panel: Axes, data: DampingMap, *, over_speed: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RootLocus(Brief):
-    """Poles of a closed loop over a factor on the controller.
+    """Poles of a closed loop for a factor on the controller gain.
 
     Attributes
     ----------
@@ -258,7 +258,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
 
 
 def _finish_plane(ax: Any, largest_hz: float) -> None:
-    """Draw rays of equal damping, labels with units, and the limit of stability."""
+    """Add lines of equal damping, labels with units, and the limit of stability to a pole plot."""
     ax.axvline(0.0, color=ink(), linewidth=0.9)
     left, right = ax.get_xlim()
     left = min(left, -0.05 * largest_hz)
@@ -342,7 +342,7 @@ def plot_magnitudes(
 
 
 def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
-    """Return the designs with the same assessment and objective as the first one.
+    """Return the designs whose assessment and objective equal those of the first design.
 
     Raises
     ------
@@ -357,7 +357,7 @@ def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDes
 
 
 def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
-    """Return the performance of comparable designs, the published controller last.
+    """Return the performance of comparable designs; the published controller is last.
 
     Raises
     ------
@@ -464,7 +464,7 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
 
 @styled
 def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = None) -> Axes:
-    """Draw the promised objective of robust designs over the probability, beside that of the nominal design.
+    """Draw the objective that robust and nominal designs reach with each probability.
 
     Parameters
     ----------
@@ -510,7 +510,7 @@ _APART = 0.06  # of the points of one round, so that their intervals do not cove
 
 @styled
 def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Axes:
-    """Draw what each round of a cycle gains: damping of the loop measured by impacts, and certainty of the model.
+    """Draw the result of each round of a cycle: measured damping of the loop, and certainty of the model.
 
     Parameters
     ----------
@@ -561,7 +561,7 @@ def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Ax
 
 
 def _relative(row: CycleRow, name: str) -> float:
-    """Return the root mean square of the standard deviations of both modes of the bearing."""
+    """Return the root sum of squares of the standard deviations of both modes of the bearing."""
     if name == "damping":
         return float(np.hypot(row.model_damping_1_std, row.model_damping_2_std))
     return float(np.hypot(row.model_frequency_1_hz_std, row.model_frequency_2_hz_std))

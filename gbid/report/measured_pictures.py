@@ -1,4 +1,4 @@
-"""Gains and poles of the actuators over the recordings (paper, Fig. 8)."""
+"""Figures of measurements: signals, responses, residual tests, static maps, staircases, and fits over recordings."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def plot_fit_histogram(summary: ValidationSummary, ax: Sequence[Axes] | None = N
 
 @dataclass(frozen=True, eq=False)
 class PiezoStaircase(Brief):
-    """Staircase of one piezo.
+    """Measured staircase of one piezo.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class PiezoStaircase(Brief):
 
     @property
     def label(self) -> str:
-        """Label of the curves."""
+        """Label of the curves of this staircase."""
         return "open loop" if self.curve.units[0] == "V" else "PD control"
 
 
@@ -226,14 +226,14 @@ def plot_piezo_staircase(
 
 
 def _staircase(data: PiezoStaircase | PiezoCurve) -> PiezoStaircase:
-    """Return a staircase; that of a curve has its plateaus in place of the samples."""
+    """Return the staircase of a result; a static curve has plateaus in place of samples."""
     return data if isinstance(data, PiezoStaircase) else PiezoStaircase(data, data.time, data.command, data.position)
 
 
 def piezo_data(
     curve: PiezoCurve, recording: Recording, command: str, command_channel: str | None = None
 ) -> PiezoStaircase:
-    """Return the staircase of a piezo for Figs. A.28 and A.29.
+    """Return the staircase of a piezo for the figures A.28 and A.29.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ def plot_residuals(
 
 
 def _plot_correlation(ax: Axes, lags: IntArray, correlation: FloatArray, band: float) -> None:
-    """Draw bars from zero; those outside the band have another colour and width."""
+    """Draw correlations as bars; bars outside the band have another colour and width."""
     ax.axhspan(-band, band, color=_BAND, linewidth=0)
     ax.axhline(0.0, color=_INSIDE, linewidth=0.6)
     outside = np.abs(correlation) > band
@@ -460,7 +460,7 @@ def plot_response(
 
 
 def _input_panels(validation: Validation) -> list[list[int]]:
-    """Return the inputs of each panel: at most four, of one unit."""
+    """Return the inputs of each panel: at most four, with equal units."""
     chosen: list[list[int]] = []
     for i, unit in enumerate(validation.input_units):
         if not chosen or len(chosen[-1]) == 4 or validation.input_units[chosen[-1][0]] != unit:
@@ -515,7 +515,7 @@ def _title(validation: Validation) -> str:
 
 @styled
 def plot_static_map(result: StaticMap, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
-    """Draw the positions at rest over the inputs, with fitted straight lines; the title is the operating point.
+    """Draw the positions at rest over the inputs with fitted straight lines; the title is the operating point.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Bode diagram of models with confidence bands, and of a measured frequency response over it."""
+"""Figures of models: Bode, Campbell, sensitivity zones, order choice, orbit, poles, profiles, time responses."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ from gbid.structure import LinearModel
 
 
 def frequency_axis(ax: Axes, low: float, high: float) -> None:
-    """Set the limits of a logarithmic frequency axis [Hz], with ticks that are readable for short and long ranges."""
+    """Set the limits of a logarithmic frequency axis [Hz], with readable ticks for short and long ranges."""
     ax.set_xlim(low, high)
     subs = (1.0, 2.0, 5.0) if high < 300 * low else (1.0,)
     ax.xaxis.set_major_locator(LogLocator(subs=subs))
@@ -74,7 +74,7 @@ Sources = ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
 
 
 def labelled(sources: Sources) -> dict[str, UncertainModel]:
-    """Return the models of a figure by label; without labels, by their names, numbered where they are equal.
+    """Return the models of a figure by label; without labels by name, and equal names with numbers.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ _HEIGHTS = {"magnitude": 1.5, "phase": 1.0, "coherence": 0.7}  # inch
 
 
 def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> dict[str, Bode]:
-    """Return the frequency responses of models at the same frequencies, for `plot_bode`.
+    """Return the frequency responses of models on a common grid, for `plot_bode`.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> di
 
 
 def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
-    """Return frequencies that show the poles of all models, up to half the rate of those that are sampled [Hz]."""
+    """Return frequencies [Hz] around the poles of all models, up to the lowest Nyquist frequency."""
     grid = np.unique(np.concatenate([default_grid(m) for m in models.values()]))
     steps = [step for m in models.values() for step in (m.model.dt, m.sample_time) if step]
     return grid[grid <= min((0.5 / step for step in steps), default=np.inf)]
@@ -148,7 +148,7 @@ Units = Mapping[str, str] | None
 
 
 def _units(sources: Sources | FrequencyData, given: Units) -> dict[str, str]:
-    """Return the units of the channels by name: those of fits, and those that are given."""
+    """Return the units of the channels by name, from fits and from given units."""
     units: dict[str, str] = {}
     if not isinstance(sources, FrequencyData):
         for model in labelled(sources).values():
@@ -157,7 +157,7 @@ def _units(sources: Sources | FrequencyData, given: Units) -> dict[str, str]:
 
 
 def _gain_unit(units: Mapping[str, str], output: str, inputs: Sequence[str], *, in_a_second: bool = False) -> str:
-    """Return the unit of the responses of an output as a label, ``output/input`` where it is not known."""
+    """Return the unit of the responses of an output as a label; ``output/input`` if the units are unknown."""
     known = {units.get(name) for name in inputs}
     is_known = output in units and len(known) == 1 and None not in known
     above, below = (units[output] or "1", known.pop() or "1") if is_known else ("output", "input")
@@ -264,14 +264,14 @@ def _draw(
 
 
 def _label_last_band(panel: Axes, band: Artist, level: float) -> None:
-    """Give the bands of a panel one entry in the legend, behind the curves."""
+    """Give the confidence bands of a panel one common legend entry."""
     for earlier in panel.collections:
         earlier.set_label("_")
     band.set_label(f"{100 * level:g} %")
 
 
 def _within(measured: FrequencyData | None, sources: Sources) -> FloatArray | None:
-    """Return frequencies that show the poles of all models within the band of a measurement [Hz]."""
+    """Return frequencies [Hz] around the poles of all models, within the band of a measurement."""
     if measured is None:
         return None
     grid = _common_grid(labelled(sources))
@@ -300,12 +300,12 @@ def _draw_measured(
 
 
 def _degrees(ax: Axes) -> None:
-    """Put the ticks of a phase at parts of a turn."""
+    """Set the ticks of a phase axis to fractions of a turn."""
     ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.8, 4.5, 9, 10]))
 
 
 def _within_decades(magnitude: FloatArray) -> tuple[float, float]:
-    """Return limits for a band, so that one that is very wide somewhere does not flatten the curve."""
+    """Return limits for a confidence band, so that a very wide part does not flatten the curve."""
     positive = magnitude[magnitude > 0]
     return (0.01 * float(positive.min()), 100 * float(positive.max())) if len(positive) else (1e-300, 1e300)
 
@@ -315,7 +315,7 @@ def _within_decades(magnitude: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Campbell(Brief):
-    """Natural frequencies of models over speed.
+    """Natural frequencies of models over speed, for a Campbell diagram.
 
     Attributes
     ----------
@@ -384,7 +384,7 @@ def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
 
 
 def _mode_shapes(model: LinearModel, poles: ComplexArray) -> ComplexArray:
-    """Return the residue of each pole from every input to every output, as vectors of length one: (n_modes, n)."""
+    """Return the residues of each pole from all inputs to all outputs, as unit vectors (n_modes, n)."""
     values, right = np.linalg.eig(model.A)
     values = values if model.dt is None else poles_of_samples(values, model.dt)
     nearest = np.abs(values - poles[:, None]).argmin(axis=1)
@@ -396,7 +396,7 @@ def _mode_shapes(model: LinearModel, poles: ComplexArray) -> ComplexArray:
 
 
 def _followed(poles: ComplexArray, shapes: ComplexArray, last: ComplexArray, before: ComplexArray) -> IntArray:
-    """Return the column that each mode continues, -1 for a new one.
+    """Return the column of the previous speed that each mode continues; -1 for a new mode.
 
     Parameters
     ----------
@@ -504,7 +504,7 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
 
 @styled
 def plot_orders(orders: SubspaceOrders, ax: npt.ArrayLike | Axes | None = None) -> npt.NDArray[np.object_]:
-    """Draw the singular values of a subspace method, and the errors of its models on samples that were not used.
+    """Draw the singular values of a subspace method, and the errors of its models on validation samples.
 
     Parameters
     ----------
@@ -673,7 +673,7 @@ def pole_data(sources: Sources) -> dict[str, PoleZero]:
 
 @styled
 def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL, zeros: bool = True) -> Axes:
-    """Draw poles (crosses) and zeros (open marks) of models, with the confidence ellipses of those of a fit.
+    """Draw poles (crosses) and zeros (open marks) of models, for fits with confidence ellipses.
 
     Parameters
     ----------
@@ -729,7 +729,7 @@ _HIGHEST = 1.6  # of the threshold, at the top of a panel
 def plot_profile(
     profiles: Profile | Mapping[str, Profile], ax: Axes | Sequence[Axes] | None = None
 ) -> npt.NDArray[np.object_]:
-    """Draw profile likelihoods: the ratio over the parameter, the interval, and the parabola of the standard deviation.
+    """Draw profile likelihoods: likelihood ratio, confidence interval, and parabola of the standard deviation.
 
     Parameters
     ----------
@@ -775,7 +775,7 @@ def plot_profile(
 def response_data(
     sources: Sources, kind: Excited = "step", duration_s: Positive | None = None
 ) -> dict[str, TimeResponse]:
-    """Return step or impulse responses of models over the same time, for `plot_step` and `plot_impulse`.
+    """Return step or impulse responses of models on a common time grid, for `plot_step` and `plot_impulse`.
 
     Parameters
     ----------

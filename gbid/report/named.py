@@ -1,4 +1,4 @@
-"""Modules that are shipped beside the paper's experiment: its figures, tables and comparison."""
+"""Modules shipped beside the paper's experiment: figures, tables and comparison of the paper."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gbid.experiment.run import Job
 
 
 def paper() -> ModuleType:
-    """Return the module with the tables of the paper, which is shipped beside its experiment."""
+    """Return the shipped module with the tables of the paper."""
     return _shipped("theisen2016_paper")
 
 
 def comparison() -> ModuleType:
-    """Return the module that compares the figures and sentences of the paper with results."""
+    """Return the shipped module that compares figures and statements of the paper with results."""
     return _shipped("theisen2016_comparison")
 
 
 def write_shipped(job: Job, part: Path, *, module: str, function: str, **options: Any) -> None:
-    """Write a result by a function of a shipped module, which a worker process loads anew."""
+    """Write a result by a function of a shipped module; a worker process imports the module again."""
     getattr(_shipped(module), function)(job, part, **options)
 
 
 @cache
 def _shipped(name: str) -> ModuleType:
-    """Import a module of the folder of experiments, and those of the folder that it imports."""
+    """Import a module from the folder of experiments; it may import its neighbours."""
     folder = str(share_folder("experiments"))
     sys.path.insert(0, folder)
     try:

@@ -1,4 +1,4 @@
-"""Elements of a page: sections of texts, tables and pictures. Templates turn them into HTML."""
+"""Elements of a page: texts, tables, pictures and sections, rendered by templates as one HTML file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Picture:
 
 
 class Pictures:
-    """Maker of pictures of a page; each has its own ids, which begin with the name of the maker."""
+    """Maker of the pictures of a page; the ids of each maker begin with its name."""
 
     def __init__(self, name: str = "g") -> None:
         self._name, self._numbers = name, count(1)
@@ -76,7 +76,7 @@ class Pictures:
 
 
 def _embedded(text: str, prefix: str, alt: str) -> str:
-    """Return the SVG element without the parts that only a file needs; ids get a prefix, paths two decimals."""
+    """Return the SVG element for a page: without file headers, ids with a prefix, paths with two decimals."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     size = _SIZE.search(body)
@@ -93,20 +93,20 @@ def _embedded(text: str, prefix: str, alt: str) -> str:
 
 @dataclass(frozen=True)
 class Link:
-    """Cell or item of a list with a link within the page."""
+    """Table cell or list item with a link within the page."""
 
     text: str
     href: str
 
 
 def fit_href(fit: str, model: str) -> str:
-    """Return the address of a fit in the page."""
+    """Return the address of a fit within the page."""
     return f"#fit&{fit}%2F{model}"
 
 
 @dataclass(frozen=True)
 class Words:
-    """Paragraph; the tone is "", "good", "warn" or "bad"."""
+    """Paragraph of the page; its tone is "", "good", "warn" or "bad"."""
 
     text: str
     tone: str = ""
@@ -115,7 +115,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Listed:
-    """List of items."""
+    """List of items in the page."""
 
     items: Sequence[str | Link]
     kind: ClassVar[str] = "list"
@@ -131,7 +131,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Blocks in a row if there is enough width."""
+    """Blocks side by side if the page is wide enough."""
 
     blocks: Sequence[Any]
     kind: ClassVar[str] = "gallery"
@@ -139,7 +139,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks that open on a click; in print they are open."""
+    """Blocks that open on a click; open in print."""
 
     title: str
     blocks: Sequence[Any]
@@ -148,7 +148,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Templated:
-    """Block with its own template and the data for it."""
+    """Block rendered by a template from given data."""
 
     template: str
     values: dict[str, Any] = field(default_factory=dict)
@@ -208,7 +208,7 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
 
 
 def environment(read: Callable[[str], str]) -> Environment:
-    """Return the template environment of pages.
+    """Return the environment of the page templates.
 
     Parameters
     ----------
@@ -229,23 +229,23 @@ def environment(read: Callable[[str], str]) -> Environment:
 
 
 def page_part(name: str) -> str:
-    """Return the text of a template, script or style of the page."""
+    """Return the text of a template, script or style sheet of the page."""
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def script_of_page() -> Markup:
-    """Return the element of the script of the page."""
+    """Return the HTML element with the script of the page."""
     return script(*map(page_part, SCRIPTS))
 
 
 def script(*texts: str) -> Markup:
-    """Return the element of a script, strict as a whole, that has several parts."""
+    """Return one HTML script element for several scripts, in strict mode."""
     strict = '"use strict";\n'
     return Markup(f"<script>\n{strict}{''.join(text.replace(strict, '') for text in texts)}</script>")
 
 
 def packed_json(value: Any) -> Markup:
-    """Return data for a script; no text in it can end the element of the script."""
+    """Return data as JSON for a script; no text in it can close the script element."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
 
@@ -254,7 +254,7 @@ _LARGEST = 32767
 
 
 def packed(values: FloatArray) -> dict[str, Any]:
-    """Return a curve as base64 of little-endian 16-bit integers, -32768 for NaN, and their factor to values."""
+    """Return a curve as base64 of little-endian 16-bit integers (-32768 for NaN), and the factor to its values."""
     missing = np.isnan(values)
     largest = float(np.abs(values[~missing]).max(initial=0.0))
     scale = largest / _LARGEST if largest > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Figures of values, as the values describe them, and the figures of an experiment."""
+"""Drawing of the figures of values, and the stage that draws the figures of an experiment."""
 
 from __future__ import annotations
 
@@ -77,13 +77,13 @@ _FILES = (impact_pictures, loop_pictures, measured_pictures, model_pictures, sur
 
 
 def drawn(figure: Figure, ax: Any = None, **options: Any) -> Any:
-    """Draw a figure as it describes itself."""
+    """Draw a figure from its description: function, values and options."""
     function = next(vars(file)[figure.function] for file in _FILES if figure.function in vars(file))
     return function(*figure.values, ax=ax, **{**figure.options, **options})
 
 
 def shown(value: Any, ax: Any = None, **options: Any) -> Any:
-    """Draw the first figure of a value; a new figure belongs to pyplot, so that a notebook shows it."""
+    """Draw the first figure of a value in a pyplot figure, so that a notebook shows it."""
     with shown_by_pyplot() if ax is None else nullcontext():
         return plot(value, ax, **options)
 
@@ -94,7 +94,7 @@ FOLDER = "figures"
 
 
 def draw_figures(job: Job) -> list[Outcome]:
-    """Write ``figures/<fit>_<model>_on_<recording>.png``, or further formats, for each fit that is to be shown.
+    """Write ``figures/<fit>_<model>_on_<recording>.png``, or other formats, for each fit with a figure.
 
     What is shown are the pairs of the fit's cross-validation; without one, each model on its own recordings. Where
     the experiment asks for the residuals, they come as ``..._residuals``; Bode diagrams come as ``..._bode``, with the

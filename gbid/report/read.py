@@ -1,4 +1,4 @@
-"""Designs with the figures that the tuning stored: comparable designs and warnings."""
+"""Stored results of an experiment for report and tables: designs, fits, states of files, missing results."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ KEPT = 0.8
 
 @dataclass(frozen=True, eq=False)
 class AssessedDesign:
-    """Controller with its stored figures, and the conditions of their assessment.
+    """Controller with its stored performance figures, and the conditions of its assessment.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class AssessedDesign:
 
 
 def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[AssessedDesign, ...]:
-    """Return tuned designs with structure and plant, each group followed by its published controller."""
+    """Return tuned designs with structure and plant; the published controller follows each group."""
     experiment, groups = job.experiment, assessed_alike(designs)
     assessed: list[AssessedDesign] = []
     for group in groups:
@@ -139,7 +139,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
 
 
 def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDesign, ...]:
-    """Return the published controller of a model, assessed, for an experiment without designs; empty without one."""
+    """Return the assessed published controller of a model, for an experiment without designs; empty if unknown."""
     came = None if model is None else published_design(job.experiment)
     figures = None if model is None else assess_published(job.experiment, model)
     if model is None or came is None or figures is None:
@@ -160,7 +160,7 @@ def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDe
 
 @dataclass(frozen=True, eq=False)
 class MadeFit:
-    """Existing fit.
+    """Existing fit with the document that tables show.
 
     Attributes
     ----------
@@ -179,24 +179,24 @@ class MadeFit:
 
     @property
     def name(self) -> str:
-        """Names of the fit and of its model, ``"bearing/p5_n6000_prbs1"``."""
+        """Names of the fit and of its model, such as ``"bearing/p5_n6000_prbs1"``."""
         return f"{self.fit}/{self.model}"
 
     @property
     def smallest(self) -> float:
-        """Smallest fit percent of its outputs; nan without any."""
+        """Smallest fit percent over its outputs; nan without outputs."""
         return min((row["fit_percent"] for row in self.document["fit_percent"]), default=nan)
 
 
 def read_fit(job: Job, fit: str, model: str) -> MadeFit:
-    """Return a fit as its file describes it."""
+    """Return an existing fit from the document in its file."""
     document = made_document(job, fit, model)
     points = {job.experiment.recordings[name].point for name in recordings_of(job.experiment, fit, model)}
     return MadeFit(fit, model, points.pop() if len(points) == 1 else "", document)
 
 
 def place_of(conditions: Mapping[str, float]) -> str:
-    """Return the operating point of conditions as text; empty when pressure or speed is unknown."""
+    """Return the operating point of given conditions as text; empty if pressure or speed is unknown."""
     known = {"pressure_bar", "speed_rpm"} <= set(conditions)
     return point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
 
@@ -208,7 +208,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, eq=False)
 class StageResults(Generic[Value]):
-    """Results of one stage: existing ones, and reasons for missing ones.
+    """Results of one stage: existing results, and the reasons for missing results.
 
     Attributes
     ----------
@@ -271,7 +271,7 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Stored results of an experiment.
+    """Stored results of an experiment, each loaded at its first use; nothing is computed.
 
     Properties with a plural name return what exists, and may be empty. Those of a single result raise `DataError` when
     it is missing or outdated; the text says what to do.
@@ -286,14 +286,14 @@ class Results:
 
     @property
     def experiment(self) -> Experiment:
-        """The experiment."""
+        """Experiment of the results."""
         return self.job.experiment
 
     # ------------------------------------------------------------ machine
 
     @cached_property
     def rig(self) -> lpv.LPVModel | None:
-        """Model behind the rig; None for recordings of a real machine."""
+        """Model of the virtual rig; None for recordings of a real machine."""
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
 
     # ------------------------------------------------------------ recordings and fits
@@ -312,7 +312,7 @@ class Results:
 
     @cached_property
     def prefiltered(self) -> list[Row]:
-        """Corrections by the prefilter, for each channel."""
+        """Corrections by the prefilter for each channel."""
         made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "kept"]
         return [row for item in made for row in correction_rows([read_report(self.job.path(PREFILTERED, item))])]
 
@@ -337,7 +337,7 @@ class Results:
 
     @cached_property
     def nominal(self) -> validate.NominalActuator:
-        """The nominal actuator."""
+        """Nominal actuator."""
         if self.experiment.spec.nominal is None:
             raise DataError("no section 'nominal'; add one")
         return nominal_of(self.job)[0]
@@ -370,20 +370,20 @@ class Results:
 
     @cached_property
     def assessed(self) -> tuple[AssessedDesign, ...]:
-        """Tuned designs and published controllers with their stored figures."""
+        """Tuned designs and published controllers with their stored performance figures."""
         if self.experiment.spec.controller:
             return assessed_designs(self.job, self.designs.made)
         return assessed_published(self.job, self.loop_model)
 
     @property
     def loop_model(self) -> lpv.LPVModel | None:
-        """Model for closed loops: the surfaces, else the model behind the rig, if they have actuators."""
+        """Model for closed loops: the surfaces, else the model of the rig, if it has actuators."""
         models = (*(fit.model for fit in self.surfaces.values()), self.rig)
         return next((model for model in models if model is not None and model.actuators), None)
 
     @cached_property
     def studies(self) -> StageResults[control.ImpactStudy]:
-        """Impact studies; loops without controller are among the missing."""
+        """Impact studies; loops without controller count as missing."""
         if self.experiment.spec.impacts is None:
             return StageResults({}, {})
         try:
@@ -399,7 +399,7 @@ class Results:
 
     @cached_property
     def cycle(self) -> list[CycleRow]:
-        """Rounds of the identification-for-control cycle; empty while it is not complete."""
+        """Rounds of the identification-for-control cycle; empty until the cycle is complete."""
         return made_rows(self.job)
 
     @property
@@ -412,7 +412,7 @@ class Results:
         return list(points.values())
 
     def labelled(self, loops: Mapping[str, control.ImpactStudy]) -> dict[str, control.ImpactStudy]:
-        """Return the impact studies of one point by their labels in figures."""
+        """Return the impact studies of one operating point, keyed by their labels in figures."""
         section = self.experiment.spec.impacts
         paper = "published gains" if section is not None and section.controller.kind == "paper" else "closed loop"
         names = {"open": "open loop", "closed": paper}
@@ -435,13 +435,13 @@ def report_key(results: Results) -> str:
 
 
 def made_keys(results: Results) -> list[str]:
-    """Return the keys of the results that the report shows beside recordings and fits."""
+    """Return the content keys of the results in the report other than recordings and fits."""
     folders = [results.experiment.results / folder for folder in _FOLDERS]
     return [stored_key(path) for folder in folders for path in sorted(folder.glob("*.*"))]
 
 
 def kept_report(job: Job) -> Outcome | None:
-    """Return the outcome of the report when it shows the present results; else None. It is found without drawing."""
+    """Return the outcome of an up-to-date report, found without drawing; else None."""
     path = job.experiment.results / REPORT
     if stored_key(path) != report_key(Results(job)):
         return None

@@ -1,4 +1,4 @@
-"""Sections of the page: at a glance, data quality, fits, and those of results with tables() and figures()."""
+"""Sections of the report: summary, data, fits, validation, nominal actuator, static maps, surfaces, provenance."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ Kept = dict[str, tuple[object, Any]]
 
 
 def drawn_once(kept: Kept, name: str, stand: object, draw: Callable[[], Any]) -> Any:
-    """Return a part of the page as it was drawn before, if it stands on the same; else draw it."""
+    """Return a cached part of the page if its inputs are unchanged; else draw it."""
     if name not in kept or kept[name][0] != stand:
         kept[name] = stand, draw()
     return kept[name][1]
 
 
 def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection | None:
-    """Return the section with a summary of the fits and each of them; curves of most are in the folder `beside`."""
+    """Return the section on the fits: summary and details; most curves are in separate files in folder `beside`."""
     if not results.experiment.spec.fits:
         return None
     blocks: list[Block] = []
@@ -117,12 +117,12 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
 
 
 def lost_fits(results: Results) -> list[Outcome]:
-    """Return the planned fits without result."""
+    """Return the planned fits without results."""
     return [f for f in results.standings if f.item.stage == "fit" and f.state != "kept"]
 
 
 def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
-    """Return the data that the script of the page shows of each fit."""
+    """Return the data of each fit for the script of the page."""
     curves = {name: curves_of(results, name) for name in with_curves(results)}
     tables = {q.name: drawn_once(kept, q.name, q.document, partial(_shown_tables, q.document)) for q in results.fits}
     fits = {q.name: {**_heading(results, q), **tables[q.name], **curves.get(q.name, {})} for q in results.fits}
@@ -207,7 +207,7 @@ CURVES = 10
 
 
 def with_curves(results: Results) -> list[str]:
-    """Return the names of the fits whose curves are in the page: of each fit the worst and the best models."""
+    """Return the models whose curves are in the page: the worst and the best models of each fit."""
     names: list[str] = []
     for fit in results.experiment.spec.fits:
         ordered = sorted((q for q in results.fits if q.fit == fit), key=attrgetter("smallest"))
@@ -216,7 +216,7 @@ def with_curves(results: Results) -> list[str]:
 
 
 def curves_of(results: Results, name: str) -> dict[str, Any]:
-    """Return measured and simulated curves on the recordings of a fit, or the reason why there are none."""
+    """Return measured and simulated curves for the recordings of a fit, or a text if not available."""
     fit, _, model = name.partition("/")
     shown, traces, reason = results.experiment.spec.figures.get(fit), [], ""
     for recording in recordings_of(results.experiment, fit, model):
@@ -230,7 +230,7 @@ def curves_of(results: Results, name: str) -> dict[str, Any]:
 
 
 def curves_script(results: Results, name: str, key: str = "") -> str:
-    """Return the curves of a fit as a script that the page loads when a reader asks for them."""
+    """Return the curves of a fit as a script that the page loads on request."""
     return f"// content_key: {key}\nFits.add({json.dumps(name)},{packed_json(curves_of(results, name))});\n"
 
 
@@ -245,7 +245,7 @@ BINS = 240
 
 
 def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]:
-    """Return a part of a validation, and the range of its error over the whole recording.
+    """Return a section of a validation, and the range of its error over the whole recording.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ _LONG = 12  # rows of a table that folds
 
 
 def value_blocks(name: str, value: Any, pictures: Pictures, models: Container[Value] = ()) -> list[Block]:
-    """Return figures and tables of a result as blocks; all but the first figure, and long tables, are folded.
+    """Return figures and tables of a result as blocks; all figures but the first and long tables are folded.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def value_blocks(name: str, value: Any, pictures: Pictures, models: Container[Va
 
 
 def linked(table: Table, fit: str, models: Container[Value]) -> Table:
-    """Return a table in which the first cell of a row that names a model of a fit leads to this fit."""
+    """Return a table whose first cells link to the fits that they name."""
     rows = [list(row) for row in table.rows]
     for row in rows:
         at = next((i for i, entry in enumerate(row) if value_of(entry) in models), None)
@@ -343,7 +343,7 @@ def linked(table: Table, fit: str, models: Container[Value]) -> Table:
 
 
 def stage_section(id: str, title: str, results: StageResults[Any], pictures: Pictures) -> PageSection:
-    """Return the section of a stage: each of its results, and why others are missing."""
+    """Return the section of a stage: its results, and the reasons for missing results."""
     blocks: list[Block] = [Words(why, "warn") for why in results.missing.values()]
     for name, value in results.made.items():
         blocks += value_blocks(name, value, pictures)
@@ -351,7 +351,7 @@ def stage_section(id: str, title: str, results: StageResults[Any], pictures: Pic
 
 
 def validation_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the fit of models on recordings to which they were not fitted."""
+    """Return the section on the validation of models on recordings outside their fits."""
     planned = results.experiment.spec.crossval
     if not planned:
         return None
@@ -374,7 +374,7 @@ def validation_section(results: Results, pictures: Pictures) -> PageSection | No
 
 
 def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the nominal actuator; None when the experiment has none."""
+    """Return the section on the nominal actuator; None if the experiment has no section nominal."""
     section = results.experiment.spec.nominal
     if section is None:
         return None
@@ -387,14 +387,14 @@ def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
 
 
 def static_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the static characterisations; None when the experiment has none."""
+    """Return the section on static characterisations; None if the experiment has none."""
     if not results.experiment.spec.static:
         return None
     return stage_section("static", "Static characterisation", results.statics, pictures)
 
 
 def surfaces_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with each surface fit; None when the experiment has none."""
+    """Return the section on each surface fit; None if the experiment has none."""
     if results.experiment.spec.lpv is None:
         return None
     text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
@@ -420,7 +420,7 @@ def point_words(experiment: Experiment, recording: str) -> str:
 
 
 def quality_section(results: Results) -> PageSection | None:
-    """Return the section with the recordings, their problems, and the corrections by the prefilter."""
+    """Return the section on data quality: recordings, their problems, and corrections by the prefilter."""
     recordings = results.recordings
     if not any(planned.excited for planned in results.experiment.recordings.values()):
         return None
@@ -461,7 +461,7 @@ def quality_section(results: Results) -> PageSection | None:
 
 
 def _folded(title: str, table: Table) -> Block:
-    """Return a table, folded when it is long."""
+    """Return a table as a block, folded if it is long."""
     return Fold(title, [table]) if len(table.rows) > _LONG else table
 
 
@@ -507,7 +507,7 @@ def warnings(results: Results) -> list[Link]:
     links += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
 
     def add_if(present: object, words: str, href: str) -> None:
-        """Add a warning where there is something to warn of."""
+        """Add a warning if there are items to warn about."""
         links.extend([Link(words, href)] if present else [])
 
     problems = sum(len(q.problems) for q in results.recordings)
@@ -564,7 +564,7 @@ def _fits(n: int) -> str:
 
 
 def lead_figure(results: Results) -> Figure | None:
-    """Return the figure at the top of the page: of a design, else surfaces, else the best fit, else a recording.
+    """Return the figure at the top of the page: of a design, else the surfaces, else the best fit, else a recording.
 
     A model of a single operating point has no picture over pressure and speed.
     """
@@ -593,7 +593,7 @@ def _has_range(model: LPVModel) -> bool:
 
 
 def _lead(results: Results, pictures: Pictures) -> list[Block]:
-    """Return the leading figure as a block; none where the results do not allow it, which their section explains."""
+    """Return the figure at the top of the page as a block; empty if it cannot be drawn."""
     try:
         figure = lead_figure(results)
         return [Shown(pictures.picture(drawn(figure), figure.words))] if figure else []
@@ -602,7 +602,7 @@ def _lead(results: Results, pictures: Pictures) -> list[Block]:
 
 
 def summary_section(results: Results, links: list[Link], pictures: Pictures) -> PageSection:
-    """Return the section with the leading figure beside warnings and key figures, then the numbers of results."""
+    """Return the summary at the top: leading figure, warnings, key figures and numbers of results."""
     blocks: list[Block] = []
     if links:
         blocks += [Words(f"{len(links)} {'thing' if len(links) == 1 else 'things'} to look at:", "warn"), Listed(links)]
@@ -636,7 +636,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
 
 
 def origin_section(results: Results) -> PageSection | None:
-    """Return programs, YAML, seeds, data and commands behind fits, surfaces and designs; None without any of them."""
+    """Return the provenance of fits, surfaces and designs: programs, YAML, seeds, data, commands; None without them."""
     job = results.job
     paths = [job.path("fits", q.fit, q.model) for q in results.fits]
     paths += [job.path("lpv", name) for name in results.surfaces]

@@ -1,4 +1,4 @@
-"""Quantities of the LPV model over injection pressure, with a curve for each speed (paper, Figs. 14 to 18)."""
+"""Figures of an LPV model: quantities over pressure and surfaces of key parameters (paper, Figs. 11 to 18)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _QUANTITIES: Mapping[Quantity, Mapping[str, tuple[str, str]]] = {
 
 @dataclass(frozen=True, eq=False)
 class PressurePanel(Brief):
-    """Quantity over injection pressure, with estimates.
+    """Curves of a quantity over injection pressure, with estimates.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ def over_pressure_data(
 def plot_over_pressure(
     data: Sequence[PressurePanel] | LPVFit, ax: Sequence[Axes] | None = None, *, what: Quantity = "frequency"
 ) -> npt.NDArray[np.object_]:
-    """Draw a curve of the model for each speed, with the estimates as marks of the same colour.
+    """Draw one curve per speed over the pressure, with the estimates as marks of equal colour.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def plot_over_pressure(
 
 
 def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None) -> tuple[FloatArray, FloatArray]:
-    """Return operating points and estimates of one quantity; both empty without estimates of it."""
+    """Return operating points and estimates of one quantity; both empty without estimates."""
     where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
     values = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
     if len(values) not in (0, len(where)):
@@ -296,7 +296,7 @@ def surfaces_data(
 def plot_surfaces(
     data: Sequence[Surface] | LPVFit, ax: Sequence[Axes] | None = None, *, letter: Literal["k", "d", "b"] = "k"
 ) -> npt.NDArray[np.object_]:
-    """Draw a surface for each parameter, with the estimates on stems.
+    """Draw a surface for each parameter, with the estimates as stems.
 
     Marks of the estimates are filled above the surface and open below it. Where the model has one speed or one
     pressure, each parameter is a curve over the other.
@@ -345,14 +345,14 @@ def plot_surfaces(
 
 
 def _scaled(surface: Surface) -> tuple[float, str]:
-    """Return the factor of a surface and its label, with the unit times a power of ten."""
+    """Return factor and label of a surface, with the unit times a power of ten."""
     exponent = exponent_of(float(np.abs(np.concatenate([surface.values.ravel(), surface.estimates])).max()))
     unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
     return 10.0**-exponent, f"{symbol(surface.name)} [{unit}]"
 
 
 def _plot_curve(ax: Any, surface: Surface) -> None:
-    """Draw a parameter over the pressure, or over the speed where there is one pressure."""
+    """Draw a parameter over pressure; over speed if there is only one pressure."""
     scale, label = _scaled(surface)
     over_speed = bool(np.ptp(surface.pressure_bar) == 0)
     where = 1e-3 * surface.speed_rpm if over_speed else surface.pressure_bar

@@ -1,4 +1,4 @@
-"""View of each stage: JSON document and tables of its results for verbs, and the summary of a run."""
+"""Views of the stages (JSON document and tables) for the command line, and the summary of a run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _ROWS = 60  # of a cross-validation; more are in its CSV file only
 
 
 def view_of(stage: Stage) -> View:
-    """Return the view of a stage; one that has none shows its outcomes."""
+    """Return the view of a stage; a stage without a special view shows its outcomes."""
     return stage.view or VIEWS.get(stage.name) or outcomes_view(stage.name, stage.section)
 
 
@@ -51,7 +51,7 @@ def _made(outcomes: Sequence[Outcome], *stages: str) -> list[Outcome]:
 
 
 def results_view(key: str, values: Callable[[Job, Sequence[Outcome]], Iterable[tuple[Row, Any]]]) -> View:
-    """Return the view of results that answer `document` and `tables`.
+    """Return the view of results with methods `document` and `tables`.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def _surfaces(_: Job, outcomes: Sequence[Outcome]) -> Iterator[tuple[Row, lpv.LP
 
 
 def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return documents of the fits, with true values for those of the rig; failed ones are left out."""
+    """Return the documents of the fits, with true values for recordings of the rig; failed fits are left out."""
     documents = []
     for outcome in _made(outcomes, "fit"):
         fit, model = outcome.item.section, outcome.item.model
@@ -100,7 +100,7 @@ def _fit_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
 
 
 def _recordings(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return documents of recordings that were made or imported; failed ones are left out."""
+    """Return the documents of simulated or imported recordings; failed recordings are left out."""
     made = [(outcome, load_recording(outcome.path)) for outcome in _made(outcomes, "rig", "import")]
     return [
         {
@@ -145,7 +145,7 @@ def _summaries(outcomes: Sequence[Outcome]) -> list[tuple[str, Path, validate.Va
 
 
 def _validation_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
-    """Yield the pairs of each fit, unless they are many, and their summary."""
+    """Yield the validation table of each fit, unless it is long, and the summary."""
     for name, _, summary in _summaries(outcomes):
         rows = read_crossval(job, name)
         pairs = [pair_table(rows)] if len(rows) <= _ROWS else []
@@ -179,7 +179,7 @@ def _tuning(_: Job, outcomes: Sequence[Outcome]) -> Document:
 
 
 def _tuning_tables(_: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
-    """Yield tables that compare designs at the same points of the same plant, and what the tuning found."""
+    """Yield tables that compare designs for equal plant and operating points, and the tuning results."""
     designs = _designs(outcomes)
     yield from [*assessment_tables(designs), *design_tables(designs)]
     made = [o for o in _made(outcomes, "controller") if o.item.section in designs]
@@ -188,7 +188,7 @@ def _tuning_tables(_: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
 
 
 def _published(job: Job, study: control.ImpactStudy) -> Row:
-    """Return the modes in the paper for the point and loop of a study with the paper's controller."""
+    """Return the modes in the paper for operating point and loop of an impact study with the paper's controller."""
     section, rig = job.experiment.spec.impacts, job.experiment.spec.rig
     if section is None or rig is None or (study.loop != "open" and section.controller.kind != "paper"):
         return {}
@@ -209,7 +209,7 @@ def _model_files(_: Job, outcomes: Sequence[Outcome]) -> list[Table]:
 
 
 def _study_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
-    """Yield the tables of each study, and the modes in the paper where they are known."""
+    """Yield the tables of each impact study, with the modes in the paper if known."""
     columns = [Column("in the paper"), *(Column(f"ω{i}", "Hz", ".1f") for i in (1, 2))]
     columns += [Column(f"ζ{i}", format=".3f") for i in (1, 2)]
     for about, study in _studies(job, outcomes):
@@ -276,12 +276,12 @@ def summary_lines(document: Document, points: Mapping[str, str]) -> list[str]:
 
 
 def points_of(experiment: Experiment) -> dict[str, str]:
-    """Return the operating points of the recordings of an experiment, as text; names of recordings without one."""
+    """Return the operating points of the recordings of an experiment as text; without a point the recording's name."""
     return {name: name if q.point == NO_POINT else q.point for name, q in experiment.recordings.items()}
 
 
 def fit_rows(table: identify.FitTable) -> list[Row]:
-    """Return of each made fit of a campaign what `summary_lines` shows of its document; one file holds all of it."""
+    """Return the summary values of each finished fit of a campaign, read from one file."""
     modes = np.stack([getattr(table, f"mode_{key}") for key in _MODE_KEYS], axis=-1)
     return [
         {
@@ -300,12 +300,12 @@ _MODE_KEYS = ("frequency_hz", "frequency_std_hz", "damping", "damping_std")
 
 
 def converged_words(fits: Sequence[Row]) -> str:
-    """Return how many of the fits converged."""
+    """Return the number of converged fits as text."""
     return f"fits: {sum(fit['success'] for fit in fits)} of {len(fits)} converged"
 
 
 def outcome_words(document: Document) -> list[tuple[str, list[str]]]:
-    """Return the fit on other recordings and the states of the surfaces, each with its beginning."""
+    """Return texts on the validation and on the surfaces, each with its heading."""
     scores = [f"{row['fit']} {min(row['least']):.1f}" for row in document["crossval_summary"]]
     surfaces = [f"{row['item']} {row['status']}" for row in document["lpv"]]
     return [("fit on other recordings, worst output [%]: ", scores), ("surfaces: ", surfaces)]
@@ -321,7 +321,7 @@ def _wrapped(begin: str, words: Sequence[str]) -> list[str]:
 
 
 class ModeRow(NamedTuple):
-    """Mode of the fits of one structure at one operating point, over its converged models.
+    """Mode of the converged fits of one structure at one operating point.
 
     Attributes
     ----------
@@ -343,18 +343,18 @@ class ModeRow(NamedTuple):
     damping_std: float
 
     def words(self) -> tuple[str, str]:
-        """Return frequency and damping factor with the 95 % interval of one model."""
+        """Return frequency and damping factor with the 95 % interval of one model, as texts."""
         return _interval(self.frequency_hz, self.frequency_std_hz), _interval(self.damping, self.damping_std)
 
     def line(self) -> str:
-        """Return the line of a terminal."""
+        """Return the mode as one line for a terminal."""
         frequency, damping = self.words()
         models = f" (mean of {self.models})" if self.models > 1 else ""
         return f"  {self.fit} {self.point}{models}: {frequency} Hz, damping {damping}"
 
 
 def mode_rows(fits: Sequence[Row], points: Mapping[str, str]) -> list[ModeRow]:
-    """Return the modes of the fits that converged, by fit and operating point.
+    """Return the modes of the converged fits by fit and operating point.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def mode_rows(fits: Sequence[Row], points: Mapping[str, str]) -> list[ModeRow]:
 
 
 def _mode_ranges(modes: Sequence[ModeRow]) -> list[str]:
-    """Return a line for each mode of each fit with its range over the operating points."""
+    """Return one line for each mode of each fit with its range over the operating points."""
     lines = []
     for name, number in dict.fromkeys((mode.fit, mode.number) for mode in modes):
         group = [mode for mode in modes if (mode.fit, mode.number) == (name, number)]
@@ -394,7 +394,7 @@ def _mode_ranges(modes: Sequence[ModeRow]) -> list[str]:
 
 
 def _interval(value: float, std: float | None) -> str:
-    """Return a value with its 95 % interval, both with the digits that the interval deserves."""
+    """Return a value with its 95 % interval as text, with digits according to the width of the interval."""
     if not std or not isfinite(std):
         return f"{value:.4g}"
     half = _TWO_SIDED * std
@@ -417,7 +417,7 @@ _CODE = re.compile(r" ?\[(GB\d+)\]")
 
 
 def notes_by_kind(rows: Iterable[Row]) -> dict[str, list[str]]:
-    """Return the notes of results by their code; those without a code by the words before the first colon."""
+    """Return the notes of results by code; notes without code by the text before the first colon."""
     notes: dict[str, list[str]] = {}
     for text in (text for row in rows for text in row["notes"]):
         match = _CODE.search(text)
@@ -426,7 +426,7 @@ def notes_by_kind(rows: Iterable[Row]) -> dict[str, list[str]]:
 
 
 def note_rows(document: Document) -> list[tuple[str, str]]:
-    """Return each note once, by its code: code and number of results that have it, and the text of the first."""
+    """Return one row per note code: code, number of results with the note, and text of the first note."""
     lines = []
     for code, texts in notes_by_kind([*document["fits"], *document["lpv"], *document["tuning"]]).items():
         times = f" ({len(texts)} times)" if len(texts) > 1 else ""

@@ -1,4 +1,4 @@
-"""Report of an experiment as a file."""
+"""Report of an experiment, and comparison of models, as HTML pages."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
 
 
 def write_curves(job: Job, report: Path) -> list[Outcome]:
-    """Write the curves of the fits that the report does not have to the folder beside it; those of kept fits are kept.
+    """Write the curves that are not in the report to the folder beside it; unchanged files stay.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
 
 
 def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
-    """Return the sections with the dear pictures; a campaign makes their results last, when its fits are there."""
+    """Return the sections with slow pictures; a campaign computes their results after the fits."""
     lacking = (results.statics, results.designs, results.studies)
     reasons = [item for stage in lacking for item in stage.missing.items()]
     stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
@@ -156,7 +156,7 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
 
 
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:
-    """Return models side by side as an HTML page: their table, frequency responses, and what chose an order."""
+    """Return a comparison of models as an HTML page: table, frequency responses, and choice of the order."""
     pictures = Pictures()
     shown = [Shown(pictures.picture(drawn(figure), figure.words)) for figure in comparison.figures()]
     blocks: list[Block] = [comparison.table(), *shown]

@@ -1,4 +1,4 @@
-"""Results as pages on this machine, which follow a running campaign, and a gain explorer for every controller."""
+"""Local web pages of results that follow a running campaign, with a gain explorer for every controller."""
 
 from gbid.serve.server import Server, open_server
 

@@ -1,4 +1,4 @@
-"""Web server of the results, for this machine only."""
+"""Local web server of the results: report, campaign state and gain explorer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _RANGE = (5.0, 1000.0)  # Hz
 
 @dataclass(frozen=True)
 class Explored:
-    """Settings of the explorer.
+    """Settings of the gain explorer: operating point, gains, direction of the impact, and sampling.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Explored:
 
 
 def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
-    """Return the loop of a design with other gains, as numbers for JSON.
+    """Return the closed loop of a design with changed gains, as numbers for JSON.
 
     Parameters
     ----------
@@ -146,13 +146,13 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
 
 
 def _rates(model: LinearModel) -> ComplexArray:
-    """Return the poles in continuous time [rad/s]; of a sampled model those that last for more than a sample."""
+    """Return the poles in continuous time [rad/s]; for a sampled model without poles faster than a sample."""
     rates = model.poles()
     return rates if model.dt is None else rates[-rates.real * model.dt < 1]
 
 
 def _modes(rates: ComplexArray) -> list[list[float]]:
-    """Return frequency [Hz], damping factor and decay rate [1/s] of the oscillatory modes, by frequency."""
+    """Return frequency [Hz], damping factor and decay rate [1/s] of the oscillatory modes, sorted by frequency."""
     return [[hz, damping, 2 * np.pi * hz * damping] for hz, damping in oscillatory_modes(rates).tolist()]
 
 
@@ -172,7 +172,7 @@ _Seen = dict[str, tuple[int | str, ...]]
 
 
 class Live:
-    """Pages of one experiment, for several threads of a server.
+    """Pages of one experiment with cached results, for several server threads.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ class Live:
         load_index(self._experiment.results)
 
     def _present(self) -> Results:
-        """Return the results, read anew when files have changed and the last reading is long enough ago."""
+        """Return the results; read again if files have changed and the last reading is old enough."""
         begin = time.monotonic()
         if self._results is not None and begin < self._free_s:
             return self._results
@@ -228,7 +228,7 @@ class Live:
         self._free_s = end + _REST * (end - begin)
 
     def _seen(self) -> tuple[_Seen, _Seen]:
-        """Return versions of the files on which keys stand, and of the folders of results with the names in them.
+        """Return the versions of the source files of the keys, and of the results folders with their file names.
 
         A result is written beside its place and renamed, which changes its folder: there are thousands of results.
         """
@@ -241,13 +241,13 @@ class Live:
         return _versions(settings), _versions({folder: names for folder, _, names in os.walk(results)})
 
     def state(self) -> dict[str, Any]:
-        """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
+        """Return the progress of the campaign: key of the present results, and counts by stage and state."""
         with self._lock:
             self._present()
             return {"key": self._key, "stages": self._stages}
 
     def page(self) -> str:
-        """Return the report of the present results; drawn anew only when they changed."""
+        """Return the report of the present results, drawn again only after changes."""
         with self._lock:
             results, begin = self._present(), time.monotonic()
             if not self._page:
@@ -256,7 +256,7 @@ class Live:
             return self._page
 
     def curves(self, name: str) -> str:
-        """Return the curves of a fit that are not in the page, as a script of it.
+        """Return the curves of a fit as a script, for fits whose curves are not in the page.
 
         Raises
         ------
@@ -270,7 +270,7 @@ class Live:
             return curves_script(results, name)
 
     def designs(self) -> dict[str, AssessedDesign]:
-        """Return the designs by name: the tuned ones and the published controllers.
+        """Return the tuned designs and the published controllers by name.
 
         Raises
         ------
@@ -285,12 +285,12 @@ class Live:
             return self._designs
 
     def known_designs(self) -> dict[str, AssessedDesign]:
-        """Return the designs as the explorer last read them: a slider asks often, and reading takes time."""
+        """Return the designs cached for the gain explorer, which requests them often."""
         return self._designs or self.designs()
 
 
 def _versions(paths: Mapping[str, list[str]]) -> _Seen:
-    """Return what changes with existing files and folders, each with the names given to it."""
+    """Return the versions of existing files and folders, each with the given names."""
     seen: _Seen = {}
     for path, names in paths.items():
         with contextlib.suppress(OSError):  # gone meanwhile
@@ -305,7 +305,7 @@ _FOLLOW = "</body>"
 
 
 def report_page(live: Live) -> str:
-    """Return the report with the line that follows the campaign."""
+    """Return the report with a status line of the campaign."""
     added = environment(_own).get_template("follow.html.j2").render(script=_follow())
     return live.page().replace(_FOLLOW, f"{added}\n{_FOLLOW}")
 
@@ -341,7 +341,7 @@ def _own(name: str) -> str:
 
 
 def _described(design: AssessedDesign) -> dict[str, Any]:
-    """Return what the page needs to know of a design: ranges of operating point and gains, and values."""
+    """Return the data of a design for the explorer page: ranges and values of operating point and gains."""
     domain, (pressure, speed) = design.plant.domain, design.figures.points[0].tolist()
     controls = [
         _control("pressure_bar", "Injection pressure", "bar", *domain.pressure_bar, pressure),
@@ -400,7 +400,7 @@ _HTML, _JSON, _SCRIPT = "text/html; charset=utf-8", "application/json", "text/ja
 
 
 class Server(ThreadingHTTPServer):
-    """Server of the pages of one experiment.
+    """HTTP server for the pages of one experiment.
 
     Attributes
     ----------
@@ -416,7 +416,7 @@ class Server(ThreadingHTTPServer):
         super().__init__(*given)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own; a connection beyond `THREADS` is told to come back."""
+        """Answer a request in a new thread; beyond `THREADS` connections the client is told to retry."""
         if not self._free.acquire(blocking=False):
             with contextlib.suppress(OSError):
                 request.setblocking(False)
@@ -437,20 +437,20 @@ class Server(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print a defect, but not that a client has left or sends nothing."""
+        """Print an internal error; ignore clients that disconnect or send nothing."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:
-        """Address of the report."""
+        """Web address of the report."""
         return f"http://{HOST}:{self.server_address[1]}/"
 
 
 def open_server(
     experiment: Path, results: Path | None = None, port: int = 0, announce: Callable[[str], None] | None = None
 ) -> Server:
-    """Return a server of the results, which listens on this machine only.
+    """Return a server of the results that listens on this machine only.
 
     Parameters
     ----------
@@ -481,7 +481,7 @@ def open_server(
 
 
 class _UntilDeadline(RawIOBase):
-    """Bytes of a connection that come within a time."""
+    """Raw input of a connection with a deadline for all its bytes."""
 
     def __init__(self, connection: socket.socket, seconds: float) -> None:
         self._connection, self._deadline = connection, time.monotonic() + seconds
@@ -490,13 +490,13 @@ class _UntilDeadline(RawIOBase):
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Read what is there; a `TimeoutError` after the deadline."""
+        """Read available bytes; raise `TimeoutError` after the deadline."""
         self._connection.settimeout(max(1e-3, self._deadline - time.monotonic()))
         return self._connection.recv_into(buffer)
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers to GET: report, explorer, state and loops. Nothing is written, and no file is served by its name."""
+    """Answers to GET requests: report, explorer, state and loops. Nothing is written; file names are not served."""
 
     server_version = "gbid"
     sys_version = ""
@@ -507,7 +507,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*given)  # type: ignore[arg-type]  # request, address and server, from socketserver
 
     def setup(self) -> None:
-        """Prepare to read the request within one deadline, which a client that sends byte after byte does not move."""
+        """Prepare to read the request within one deadline, which slow clients cannot extend."""
         super().setup()
         self.rfile = BufferedReader(_UntilDeadline(self.connection, self.timeout))
 
@@ -545,7 +545,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.BAD_REQUEST, "text/plain", str(error))
 
     def _loop(self, query: dict[str, str]) -> str:
-        """Return the loop of a design as JSON; numbers in the query are operating point and gains."""
+        """Return the closed loop of a design as JSON for the operating point and gains in the query."""
         designs = self._live.known_designs()
         name = query.pop("design", next(iter(designs)))
         if name not in designs:
@@ -570,4 +570,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
-        """Print nothing: the terminal shows the address only."""
+        """Print nothing; the terminal shows only the address."""

@@ -1,1 +1,1 @@
-"""Stages of an experiment, one file each: checks, tasks, and what follows from them."""
+"""Stages of an experiment, one file each: checks, tasks, and follow-up tasks."""

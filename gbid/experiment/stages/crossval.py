@@ -1,4 +1,4 @@
-"""Cross-validation: checks, pairs, rows and tables; the nominal actuator chosen from models; checks of figures."""
+"""Cross-validation stage, choice of the nominal actuator, and checks of the figures of fits."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _partner_problems(experiment: Experiment, name: str, on: Sequence[str]) -> I
 
 
 def validate_pair(job: Job, name: str, model: str, recording: str) -> validate.Validation:
-    """Return the scores of one model of a fit on one recording.
+    """Return the scores of one model on one recording.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def validate_pair(job: Job, name: str, model: str, recording: str) -> validate.V
 
 
 def model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[identify.FitResult, Recording]:
-    """Return one model of a fit, with the local parameters of a recording, and the recording.
+    """Return a model of a fit with the local parameters for a recording, and the recording.
 
     Raises
     ------
@@ -104,19 +104,19 @@ def model_and_recording(job: Job, name: str, model: str, recording: str) -> tupl
 
 
 def residuals_on(job: Job, name: str, result: identify.FitResult, data: Recording) -> validate.ResidualTest:
-    """Return the residual tests of a loaded model on a loaded recording."""
+    """Return the residual tests of a model on a recording."""
     return validate.check_residuals(result, data, left_out=left_out_of(job.experiment, name, data))
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
-    """Return the content key of a recording for validation, with the stretches that are left out."""
+    """Return the content key of a validation recording with its left-out stretches."""
     key = fit_input(experiment, experiment.recordings[recording]).key
     left_out = experiment.spec.fits[name].left_out.get(recording)
     return f"{key} without {left_out}" if left_out else key
 
 
 def with_local(job: Job, name: str, result: identify.FitResult, recording: str) -> identify.FitResult:
-    """Return a fit result with the local parameters of a recording, or those of its operating point.
+    """Return a fit result with the local parameters of a recording or of its operating point.
 
     Raises
     ------
@@ -186,7 +186,7 @@ class CrossvalRow:
 
     @property
     def missed(self) -> bool:
-        """Whether the fit percent is below the required minimum."""
+        """Whether the fit percent is below the required value."""
         return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
 
 
@@ -259,7 +259,7 @@ Pair = tuple[str, str]
 
 
 class FitPairs:
-    """Pairs of one fit; models and keys are loaded once.
+    """Pairs of model and recording for one fit; models and keys are loaded once.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ class FitPairs:
 
     @cached_property
     def missing(self) -> dict[Pair, str]:
-        """Pairs whose model or recording is missing, with the reason."""
+        """Pairs with a missing model or recording, with the reason."""
         experiment = self._job.experiment
         pairs = validation_pairs(experiment, self._name)
         models = {m: _why_missing(fit_result(experiment, self._name, m)) for m in {m for m, _ in pairs}}
@@ -300,7 +300,7 @@ class FitPairs:
         return experiment.result(Item("crossval", self._name), FOLDER, settings, keys, ending=".csv")
 
     def of(self, pair: Pair) -> Result:
-        """Return a pair as a result of its own, under which its failure is recorded."""
+        """Return a pair as a result, for the record of its failure."""
         return Result(self.item(pair), self.path, f"{self._model_key(pair[0])} {self._data_key(pair[1])}")
 
     def item(self, pair: Pair) -> Item:
@@ -312,7 +312,7 @@ class FitPairs:
         return Outcome(self.item(pair), self.path, "failed", text, cause=cause)
 
     def rows(self) -> tuple[list[Sequence[Value]], dict[Pair, str]]:
-        """Return the rows of all pairs in order, and the reason for pairs without rows; reads each recording once."""
+        """Return the rows of all pairs in order, and reasons for missing rows; each recording is read once."""
         rows: dict[Pair, list[Sequence[Value]]] = {}
         failed: dict[Pair, str] = {}
         tested = set(dict(reversed(self.possible)).items())  # the first pair of each model
@@ -357,7 +357,7 @@ class FitPairs:
 
 
 def _why_missing(result: Result) -> str:
-    """Return why a result is missing; empty when it is made."""
+    """Return the reason for a missing result; empty if the result exists."""
     try:
         result.require()
     except (DataError, OSError) as error:
@@ -388,13 +388,13 @@ def crossval_rows(job: Job) -> list[CrossvalRow]:
 
 
 def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
-    """Return the rows of the cross-validation of a fit; empty unless they are made from the present results."""
+    """Return the cross-validation rows of a fit; empty unless they belong to the present results."""
     pairs = FitPairs(job, name)
     return _read_rows(job, name, pairs.table.path) if pairs.possible and pairs.table.is_made else []
 
 
 def read_summary(job: Job, name: str) -> validate.ValidationSummary | None:
-    """Return the summary of the cross-validation of a fit; None unless it is made from the existing rows."""
+    """Return the cross-validation summary of a fit; None unless it belongs to the existing rows."""
     path = job.path(FOLDER, name, ending=f"{SUMMARY}.h5")
     if not path.is_file():
         return None
@@ -442,7 +442,7 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
 
 
 def _summary_result(job: Job, name: str, failed: Sequence[str], rows_key: str, ending: str) -> Result:
-    """Return the result file of the summary of a table with this content key."""
+    """Return the result file of the summary for a table with a given content key."""
     item = Item("crossval", name, form=f"{{}}{SUMMARY}{ending}")
     return job.experiment.result(item, FOLDER, {"failed": list(failed)}, [rows_key], ending=f"{SUMMARY}{ending}")
 
@@ -467,7 +467,7 @@ NOMINAL_FOLDER = "nominal"
 
 
 def nominal_is_an_actuator(experiment: Experiment) -> Found:
-    """Yield problems of the nominal section: its fit must exist, have the parameters, and give several models."""
+    """Yield problems of the nominal section: fit, its parameters, and its number of models."""
     section = needed(experiment.spec.nominal, "nominal")
     yield from a_fit_is_named(
         experiment, ("nominal", "fit"), section.fit, ACTUATOR, "name a fit of piezo_pair or plant with real poles"
@@ -485,7 +485,7 @@ def nominal_tasks(job: Job) -> Work:
 
 
 def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
-    """Return the most central model of the fit in the nominal section, and the result file of the choice.
+    """Return the most central model of the fit in the nominal section, and the result file of this choice.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Cycle of identification for control: its rounds, the damping that impacts show in each, and its checks."""
+"""Identification-for-control cycle: rounds, measured damping in each round, and checks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LATER = ("lpv", "controller", "impacts", RECORDINGS)  # folders of the results 
 
 
 def cycle_design(experiment: Experiment) -> str:
-    """Return the name of the design.
+    """Return the name of the design that the cycle tunes.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def cycle_design(experiment: Experiment) -> str:
 
 
 def recording_points(experiment: Experiment) -> tuple[Place, ...]:
-    """Return the operating points of the new recordings."""
+    """Return the operating points of the new recordings of a round."""
     section, rig = needed(experiment.spec.cycle, "cycle"), experiment.spec.rig
     if section.operating_points is not None:
         return section.operating_points
@@ -63,13 +63,13 @@ def recording_points(experiment: Experiment) -> tuple[Place, ...]:
 
 
 def trial_points(experiment: Experiment) -> tuple[Place, ...]:
-    """Return the operating points of the impacts."""
+    """Return the operating points of the impacts of a round."""
     return needed(experiment.spec.cycle, "cycle").impacts.operating_points or recording_points(experiment)
 
 
 @lru_cache(maxsize=2 * MOST_ROUNDS)
 def round_experiment(experiment: Experiment, number: int) -> Experiment:
-    """Return the experiment of a round.
+    """Return a round of the cycle as an experiment.
 
     It has the recordings of the experiment and those of all rounds so far, which its fits use as well. Its surfaces,
     controller and impacts lie in a folder of its own; round 0 has the surfaces and the controller of the experiment.
@@ -95,7 +95,7 @@ def round_experiment(experiment: Experiment, number: int) -> Experiment:
 
 
 def round_recordings(experiment: Experiment, number: int) -> dict[str, PlannedRecording]:
-    """Return the recordings of a round by name, e.g. ``round1_p4_n0_prbs1``."""
+    """Return the recordings of a round by name, such as ``round1_p4_n0_prbs1``."""
     before = f"{FOLDER}/round{number - 1}/" if number > 1 else ""
     controller = f"{before}{TUNED}/{file_stem(cycle_design(experiment))}.yaml"
     planned = {}
@@ -110,7 +110,7 @@ def round_recordings(experiment: Experiment, number: int) -> dict[str, PlannedRe
 
 
 def cycle_can_run(experiment: Experiment) -> Found:
-    """Yield problems of the cycle: what it needs, and operating points that have no map or lie outside."""
+    """Yield problems of the cycle: missing sections, and operating points without map or outside the domain."""
     section, spec = needed(experiment.spec.cycle, "cycle"), experiment.spec
     for other, why in (("rig", "runs on it"), ("lpv", "fits its surfaces again"), ("controller", "tunes it again")):
         if not getattr(spec, other):
@@ -150,7 +150,7 @@ _MODES = ("frequency_1_hz", "frequency_2_hz", "damping_1", "damping_2")
 
 @dataclass(frozen=True)
 class CycleRow:
-    """One round at one operating point.
+    """Result of one round at one operating point.
 
     Attributes
     ----------
@@ -201,13 +201,13 @@ class CycleRow:
 
     @property
     def reached(self) -> tuple[float, float]:
-        """Smaller measured damping factor, and its standard deviation."""
+        """Smallest measured damping factor of the two modes, with its standard deviation."""
         first = not self.damping_2 < self.damping_1
         return (self.damping_1, self.damping_1_std) if first else (self.damping_2, self.damping_2_std)
 
 
 def cycle_table(rows: Sequence[CycleRow]) -> Table:
-    """Return the table of the rows, as in its CSV file."""
+    """Return the table of all rows, as in the CSV file."""
     notes = (
         "model_: modes of the bearing without controller, from the surfaces of the round; expected_damping: of the "
         "sampled loop, by the same surfaces; frequency and damping: of the loop on the rig, measured by impacts",
@@ -216,7 +216,7 @@ def cycle_table(rows: Sequence[CycleRow]) -> Table:
 
 
 def rounds_table(rows: Sequence[CycleRow]) -> Table:
-    """Return the table of the rounds for readers."""
+    """Return a short table of the rounds for display."""
     columns = [
         *(Column("round", format="d"), Column("where"), Column("recordings", format="d")),
         *(Column("std of frequencies", "Hz"), Column("std of dampings")),
@@ -258,7 +258,7 @@ def _row(number: int, fit: lpv.LPVFit, design: TunedDesign, study: control.Impac
 
 
 def _named(prefix: str, mean: FloatArray, std: FloatArray) -> dict[str, Any]:
-    """Return modes and their standard deviations as fields of a row."""
+    """Return modes and their standard deviations as named fields of a row."""
     pairs = zip(_MODES, mean.tolist(), std.tolist(), strict=True)
     return {f"{prefix}{name}{ending}": v for name, m, s in pairs for ending, v in (("", m), ("_std", s))}
 
@@ -302,7 +302,7 @@ Step = Callable[[Job, Sequence[Outcome]], Work]
 
 
 def _of_new_recordings(work: Callable[[Job], Work], job: Job, _: Sequence[Outcome]) -> Work:
-    """Return those tasks of a round that stand on a recording made under a controller."""
+    """Return the tasks of a round that use recordings in closed loop."""
     new = {name for name, planned in job.experiment.recordings.items() if planned.controller}
     return [task for task in work(job) if isinstance(task, Task) and new & set(task.recordings)]
 
@@ -326,12 +326,12 @@ _STEPS: tuple[Step, ...] = (
 
 
 def round_job(job: Job, number: int) -> Job:
-    """Return the job of a round."""
+    """Return the job of a round of the cycle."""
     return replace(job, experiment=round_experiment(job.experiment, number))
 
 
 def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
-    """Return the work of a step of a round; none after a failure, because all later steps need its result."""
+    """Return the work of a step of a round; empty after a failure, because later steps need the failed result."""
     rounds = needed(job.experiment.spec.cycle, "cycle").rounds
     if number > rounds or any(outcome.state == "failed" for outcome in made):
         return []
@@ -340,7 +340,7 @@ def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
 
 
 def _in_round(number: int, work: Task | Outcome) -> Task | Outcome:
-    """Return work of the experiment of a round as work of the experiment, with names of the round."""
+    """Return work of a round's experiment as work of the whole experiment, named by the round."""
     item = replace(work.item, stage=f"cycle {work.item.stage}", round=f"round{number}")
     if isinstance(work, Outcome):
         return replace(work, item=item)
@@ -388,7 +388,7 @@ def table_task(job: Job) -> Task:
 
 
 def made_rows(job: Job) -> list[CycleRow]:
-    """Return the rows of the cycle when all its results are there; nothing is computed.
+    """Return the rows of the cycle from existing results; empty if some are missing.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Excitations of the next recordings: check of their section, and their files."""
+"""Stage of the excitations of the next recordings: checks, tasks and files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gbid.experiment.structures import fit_channels
 
 
 def excitations_have_fits(experiment: Experiment) -> Found:
-    """Yield a problem for each excitation whose fit does not exist or is no fit of driven recordings."""
+    """Yield a problem for each excitation whose fit is missing or has no inputs."""
     for name, section in experiment.spec.excite.items():
         if section.fit not in experiment.spec.fits:
             yield ("excite", name, "fit"), f"no fit {section.fit!r}; {nearest(section.fit, experiment.spec.fits)}"
@@ -55,7 +55,7 @@ def excite_tasks(job: Job) -> Work:
 
 
 def _limits(experiment: Experiment, section: ExciteSection, result: identify.FitResult) -> excite.ExcitationLimits:
-    """Return the limits of an excitation: those of its section, or those with which the machines of the rig do not rub.
+    """Return the limits of an excitation: from its section, or such that no possible machine of the rig rubs.
 
     The operating point is that of the first recording of the fit. Without the disc among the outputs of the fit its
     motion is not known.

@@ -1,4 +1,4 @@
-"""Fits: checks of their sections, tasks, and arguments of `gbid.fit`."""
+"""Stage of the fits: checks of sections, arguments of `gbid.fit`, tasks, and stored documents."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from gbid.validate.residuals import shaft_lines
 
 
 def fits_can_be_made(experiment: Experiment) -> Found:
-    """Yield problems of each fit: structure, recordings, parameters, signals, and options that do not suit them."""
+    """Yield problems of each fit: structure, recordings, parameters, signals, and unsuitable options."""
     for name, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, name)
         problems = [
@@ -93,7 +93,7 @@ def _recording_problems(experiment: Experiment, name: str, section: FitSection) 
 
 
 def response_of(experiment: Experiment, fit: str, i: int) -> identify.FrequencyData:
-    """Return the frequency responses in one of the files of a fit, between the channels of the fit.
+    """Return the frequency responses in a file of a fit, for the channels of the fit.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def _option_problems(experiment: Experiment, name: str, section: FitSection, str
 
 
 def _local_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
-    """Yield a problem for local parameters of a fit to one recording, or without operating points."""
+    """Yield a problem for local parameters of a fit to a single recording, or without operating points."""
     planned = experiment.fit_recordings(name)
     if section.local and (not section.together or len(planned) < 2):
         yield ("local",), "is for a fit to several recordings at once; write together: true"
@@ -206,7 +206,7 @@ def _local_problems(experiment: Experiment, name: str, section: FitSection) -> F
 
 
 def _left_out_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
-    """Yield a problem for each left-out stretch that is not inside a recording of the fit."""
+    """Yield a problem for each left-out stretch outside a recording of the fit."""
     rig, used = experiment.spec.rig, {q.name: q for q in experiment.fit_recordings(name)}
     for recording, stretches in section.left_out.items():
         if recording not in used:
@@ -221,7 +221,7 @@ def _left_out_problems(experiment: Experiment, name: str, section: FitSection) -
 
 
 def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: Sequence[str], remedy: str) -> Found:
-    """Yield problems of a section that starts from the models of a fit, one per recording.
+    """Yield problems of a section that needs a fit with one model per recording.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples
 
 
 def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
-    """Return the tasks of all fits, or of the one named."""
+    """Return the tasks of all fits, or of one named fit."""
     return [
         Task.of(
             fit_result(job.experiment, name, model),
@@ -281,7 +281,7 @@ def fit_result(experiment: Experiment, name: str, model: str) -> Result:
 
 
 def read_fit_summary(path: Path) -> Made:
-    """Return status and smallest fit percent of an existing result.
+    """Return status and smallest fit percent of an existing fit result.
 
     Raises
     ------
@@ -301,7 +301,7 @@ def _summary(path: Path) -> tuple[str, bool, float]:
 
 
 def table_row(path: Path) -> FitRow:
-    """Return the row of a fit in a table of many, from its document: a tenth of the time to load the fit.
+    """Return the row of a fit in a campaign table from its document, which takes a tenth of loading the fit.
 
     Raises
     ------
@@ -336,7 +336,7 @@ def table_row(path: Path) -> FitRow:
 
 
 def load_made_fit(job: Job, name: str, model: str) -> identify.FitResult:
-    """Return the result of a fit that was made from the present settings.
+    """Return the stored result of a fit for the present settings.
 
     Raises
     ------
@@ -349,12 +349,12 @@ def load_made_fit(job: Job, name: str, model: str) -> identify.FitResult:
 
 @lru_cache(maxsize=256)
 def _load(path: Path, _version: tuple[int, ...]) -> identify.FitResult:
-    """Return the fit in a file; cached, because the stages after the fits read the same ones."""
+    """Return the fit in a file; cached, because several later stages read it."""
     return hdf5.load(path, FitResult)
 
 
 def fit_entries(job: Job, name: str) -> list[TableEntry]:
-    """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has its reason."""
+    """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has a reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
         conditions = job.experiment.recordings[recordings[0]].conditions if recordings else {}
@@ -367,7 +367,7 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
 
 
 def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
-    """Return the keyword arguments of `gbid.fit` for a fits section and recordings."""
+    """Return the keyword arguments of `gbid.fit` from a fits section and recordings."""
     section = experiment.spec.fits[name]
     hold, state = section.intersample, section.initial_state
     return {
@@ -388,7 +388,7 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
 
 
 def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, int]:
-    """Return the first samples at or after two times [s], as (first, stop).
+    """Return the sample range (first, stop) between two times [s].
 
     Raises
     ------
@@ -407,7 +407,7 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
 
 
 def left_out_of(experiment: Experiment, name: str, data: Recording) -> list[tuple[int, int]]:
-    """Return the samples of a recording that the experiment leaves out of a fit, as (first, stop) pairs.
+    """Return the samples of a recording that a fit leaves out, as (first, stop) pairs.
 
     Raises
     ------
@@ -453,7 +453,7 @@ def _document(
 
 
 def made_document(job: Job, name: str, model: str) -> Row:
-    """Return the document of a fit that was made from the present settings: as it was stored with the fit.
+    """Return the stored document of a fit for the present settings.
 
     Raises
     ------
@@ -466,7 +466,7 @@ def made_document(job: Job, name: str, model: str) -> Row:
 
 
 def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Recording]) -> list[str]:
-    """Return remarks on lines of the shaft in residuals that are not white: run-out that the prefilter left."""
+    """Return notes on shaft harmonics in residuals that are not white: run-out that the prefilter left."""
     if result.trusted == "white":
         return []
     section, notes = job.experiment.spec.prefilter, []

@@ -1,4 +1,4 @@
-"""Impacts on the rig: checks of their section, recordings, studies and tables; checks of the control chain."""
+"""Stage of the impacts: checks, recordings, ring-down studies and tables; checks of the control chain."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LONGEST_IMPACT = 0.25
 
 
 def impacts_can_be_made(experiment: Experiment) -> Found:
-    """Yield problems of the rig, the operating points, the timing of impacts, and the controllers."""
+    """Yield problems of the rig, operating points, impact timing and controllers."""
     section, rig = needed(experiment.spec.impacts, "impacts"), experiment.spec.rig
     if rig is None:
         yield ("impacts",), "needs the section rig; add one (for recordings of your own use gbid.fit_ringdown)"
@@ -70,7 +70,7 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
 
 
 def timing_problems(section: HammerTrain, sample_time: float, where: Location) -> Found:
-    """Yield a problem when impacts are too long for the time between them, or too short to be measured."""
+    """Yield a problem for impacts that are too long for their spacing or too short for the sample time."""
     if section.impact_s > LONGEST_IMPACT * section.spacing_s:
         text = f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it"
         yield (*where, "spacing_s"), text
@@ -102,17 +102,17 @@ class ImpactRecording:
 
     @property
     def study(self) -> str:
-        """Name of the study of its operating point in its loop, e.g. ``p6_n0_open``."""
+        """Name of the study of operating point and loop, such as ``p6_n0_open``."""
         return self.planned.name.rpartition("_")[0]
 
 
 def loop_controllers(section: ImpactsSection) -> dict[str, ControllerName | None]:
-    """Return the controller of each loop, in their order; None for the open loop."""
+    """Return the controller of each loop in order; None for the open loop."""
     return {loop: section.controller if loop == "closed" else None for loop in section.loops} | section.beside
 
 
 def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
-    """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``."""
+    """Return the recordings with impacts by name, such as ``p6_n0_open_x``."""
     section = needed(experiment.spec.impacts, "impacts")
     signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
     impacts = {}
@@ -126,7 +126,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
 
 
 def expecting_model(experiment: Experiment) -> tuple[lpv.LPVModel, str]:
-    """Return the model that predicts the modes, and a text that identifies it in content keys.
+    """Return the model that predicts the modes, and its identity for content keys.
 
     Raises
     ------
@@ -153,7 +153,7 @@ RECORDINGS = "impacts/recordings"
 
 
 def recording_tasks(job: Job) -> Work:
-    """Return the tasks of the recordings with impacts; a further loop without controller is a failed outcome.
+    """Return the tasks of the recordings with impacts; a loop with a missing controller is a failed outcome.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def study_tasks(job: Job, _: Sequence[Outcome] = ()) -> list[Task]:
 
 
 def loops_without_controller(experiment: Experiment) -> dict[str, str]:
-    """Return the further loops whose controller is missing or cannot be read, with the reason.
+    """Return the loops with a missing or unreadable controller, with the reason.
 
     Raises
     ------
@@ -296,7 +296,7 @@ IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (st
 
 
 def chain_can_run(experiment: Experiment) -> Found:
-    """Yield a problem when values of the section do not fit each other."""
+    """Yield a problem if values of the section target do not fit each other."""
     yield from refusal(("target",), partial(chain_options, experiment))
 
 

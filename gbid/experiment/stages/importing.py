@@ -1,4 +1,4 @@
-"""Recordings from files: checks of the import section, and the import."""
+"""Stage that imports recordings from files: checks, tasks, and duplicate contents."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gbid.recording.quality import find_group_problems
 
 
 def data_can_be_read(experiment: Experiment) -> Found:
-    """Yield problems of data files and mappings; the contents of the files are checked later."""
+    """Yield problems of data files and mappings, without reading file contents."""
     folder = experiment.folder / needed(experiment.spec.imported, "import").data_folder
     if not folder.is_dir():
         yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
@@ -68,7 +68,7 @@ def import_tasks(job: Job) -> list[Task]:
 
 
 def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
-    """Return one recording from its file; refuse it when a signal that a fit uses is faulty.
+    """Return one recording from its file; refuse faults in signals that a fit uses.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
 
 
 def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording, str, int]]:
-    """Return the problems of all imported recordings, each alone and compared with the others.
+    """Return the problems of all imported recordings, single ones and duplicates.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
 
 
 def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:
-    """Refuse a recording with the same samples as an earlier one, from the same file or a copy of it.
+    """Refuse a recording with samples equal to an earlier recording.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> No
 
 
 def _content(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Return a digest of the samples that a recording takes from its file."""
+    """Return a digest of the samples that a recording uses of its file."""
     assert planned.imported is not None
     try:
         return _content_of(experiment, planned.name, version_of(experiment.data_file(planned.imported)))
@@ -146,7 +146,7 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
 
 @lru_cache(maxsize=1 << 16)
 def _content_of(experiment: Experiment, name: str, _version: tuple[int, ...]) -> str:
-    """Return the digest of the present content; cached, because each recording is compared with all before it."""
+    """Return the digest of the present samples; cached, because each recording is compared with all earlier ones."""
     entry = experiment.recordings[name].imported
     assert entry is not None
     columns = {signal: list(mapped.columns) for signal, mapped in entry.signals.items()}

@@ -1,4 +1,4 @@
-"""Loops: checks of the controllers of recordings and fits, designs tuned before, and the cost of a loop."""
+"""Closed loops of recordings: checks of controllers, designs tuned before recording, and loss of precision."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gbid.identify.table import TableEntry
 
 
 def fit_loops_are_known(experiment: Experiment) -> Found:
-    """Yield a problem for each fit in a loop whose controller or comparison is not there."""
+    """Yield a problem for each closed-loop fit with a missing controller or missing comparison fit."""
     for name, section in experiment.spec.fits.items():
         if section.loop is None:
             continue
@@ -49,7 +49,7 @@ def fit_loops_are_known(experiment: Experiment) -> Found:
 
 
 def early_designs(experiment: Experiment) -> list[str]:
-    """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
+    """Return the names of designs that control recordings and are therefore tuned first."""
     spec, names = experiment.spec, dict[str, None]()
     for section in (spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())):
         if section is not None and section.controller is not None and section.controller.kind == "tuned":
@@ -59,7 +59,7 @@ def early_designs(experiment: Experiment) -> list[str]:
 
 
 def loop_tasks(job: Job) -> list[Task]:
-    """Return the tasks of the designs that recordings need; `gbid tune` makes the same."""
+    """Return the tasks of the designs that recordings need; `gbid tune` has equal tasks."""
     return [design_task(early_design(job.experiment, name)) for name in early_designs(job.experiment)]
 
 
@@ -75,7 +75,7 @@ _DIGITS = 2
 
 @dataclass(frozen=True)
 class LoopCostRow:
-    """Standard deviation of a parameter in the loop and without controller, at one operating point.
+    """Standard deviations of a parameter in closed and open loop at one operating point.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class LoopCostRow:
     std_beside: float
 
     def document(self) -> Row:
-        """Return the row as plain values, with the ratio of the standard deviations, for JSON."""
+        """Return the row as plain values for JSON, with the ratio of the standard deviations."""
         return {**asdict(self), "ratio": self.std / self.std_beside}
 
 
@@ -124,7 +124,7 @@ def _peak_words(row: LoopCostRow, peak: float) -> str:
 
 
 def cost_tables(rows: Sequence[LoopCostRow]) -> Iterator[Table]:
-    """Yield a table for each fit in a loop and operating point."""
+    """Yield a comparison table for each closed-loop fit and operating point."""
     columns = [Column("parameter"), Column("std in the loop", format=_DIGITS), Column("std without", format=_DIGITS)]
     columns.append(Column("ratio", format=".2f"))
     for (fit, point), group in groupby(rows, key=lambda row: (row.fit, row.point)):
@@ -146,7 +146,7 @@ def cost_tables(rows: Sequence[LoopCostRow]) -> Iterator[Table]:
 
 
 def cost_tasks(job: Job) -> list[Task]:
-    """Return the tasks of the tables, one for each fit that names another one to stand beside it."""
+    """Return the tasks of the comparison tables, one for each fit that names an open-loop fit."""
     experiment, tasks = job.experiment, []
     for name, section in experiment.spec.fits.items():
         beside = section.loop.beside if section.loop is not None else None
@@ -159,12 +159,12 @@ def cost_tasks(job: Job) -> list[Task]:
 
 
 def made_costs(job: Job) -> list[LoopCostRow]:
-    """Return the rows of all tables that were made from the present fits; nothing is computed."""
+    """Return the rows of all existing comparison tables of the present fits; nothing is computed."""
     return [row for task in cost_tasks(job) if task.is_made for row in read_values(task.path, LoopCostRow)]
 
 
 def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
-    """Return the rows of a fit, by operating point and parameter; empty without a common point or parameter."""
+    """Return the comparison rows of a fit by operating point and parameter; empty without common ones."""
     closed_points, free_points = (_by_point(job, _converged(job, each)) for each in (name, beside))
     rows = []
     for point, closed in closed_points.items():
@@ -199,7 +199,7 @@ def _by_point(
 
 
 def _sizes(job: Job, results: Sequence[identify.FitResult], beside: str = "") -> dict[str, Any]:
-    """Return the number of recordings and the medians of their lengths and peaks, by the columns of the table."""
+    """Return number, median length and median peak of recordings, by table column."""
     recordings = [load_fit_input(job, job.experiment.recordings[result.recordings[0]]) for result in results]
     signal = results[0].options.outputs[-1].partition(".")[0]
     peaks = [float(np.abs(recording.signal(signal)).max()) for recording in recordings]

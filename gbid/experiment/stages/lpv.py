@@ -1,4 +1,4 @@
-"""Surfaces over pressure and speed: checks of their section, and their files."""
+"""Stage of the surfaces over pressure and speed: checks, two-step and direct fits, files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
 
 
 def _of_scheduled(experiment: Experiment, section: LpvSection, structure: ScheduledStructure) -> Found:
-    """Yield problems of surfaces that a scheduled structure has itself."""
+    """Yield problems of the lpv section for a scheduled structure, whose fit already gives surfaces."""
     if not experiment.spec.fits[section.fit].together:
         text = f"{structure.name} has one model for all recordings; write together: true"
         yield ("fits", section.fit, "together"), text
@@ -67,7 +67,7 @@ def _of_scheduled(experiment: Experiment, section: LpvSection, structure: Schedu
 
 
 def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
-    """Return the actuator parameters for the surfaces; None when the nominal stage will choose them.
+    """Return the actuator parameters for the surfaces; None if the nominal stage will choose them.
 
     Raises
     ------
@@ -101,7 +101,7 @@ UNCERTAINTY = "{} uncertainty"
 
 
 class Surfaces:
-    """Surfaces of one job; each is made at its first use.
+    """Surfaces of one job, each computed at its first use.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Surfaces:
         self._section = needed(job.experiment.spec.lpv, "lpv")
 
     def result(self, item: str) -> Result:
-        """Return the result file of surfaces: of the section, the existing fits, and the actuators."""
+        """Return the result file of surfaces; its key depends on section, existing fits and actuators."""
         experiment, fit = self._job.experiment, self._section.fit
         models = [entry.model for entry in self._entries if entry.result is not None]
         settings = {**self._section.model_dump(), "models": models, "found_actuators": self._actuators}
@@ -129,7 +129,7 @@ class Surfaces:
         return experiment.result(Item("lpv", item, form=UNCERTAINTY), FOLDER, settings, sources)
 
     def make(self, item: str) -> lpv.LPVFit:
-        """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
+        """Return the surfaces of one item: from the fit, or from its direct LPV fit."""
         fit = self._two_step if item == self._section.fit else self._direct()
         return replace(fit, model=replace(fit.model, machine=machine_data(self._job.experiment)))
 
@@ -139,7 +139,7 @@ class Surfaces:
 
     @cached_property
     def _two_step(self) -> lpv.LPVFit:
-        """Surfaces fitted to the estimates of the fits; of a scheduled structure those that its fit found."""
+        """Return surfaces fitted to the estimates of the fits; for a scheduled structure the surfaces of its fit."""
         section, spec = self._section, self._job.experiment.spec
         results = [entry.result for entry in self._entries if entry.result is not None]
         if not results:
@@ -197,7 +197,7 @@ _MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then 
 
 
 def lpv_tasks(job: Job) -> Work:
-    """Return the task of the lpv section; the model and the direct LPV fit follow."""
+    """Return the task of the lpv section; model file and direct LPV fit follow it."""
     fit = needed(job.experiment.spec.lpv, "lpv").fit
     try:
         return [_uncertainty_task(job, fit)]
@@ -207,7 +207,7 @@ def lpv_tasks(job: Job) -> Work:
 
 
 def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """Return the task of a model file, which follows its uncertainty and has the same content key."""
+    """Return the task of a model file; it follows the uncertainty and has an equal content key."""
     item = f"{needed(job.experiment.spec.lpv, 'lpv').fit}{suffix}"
     source = job.path(FOLDER, item)
     if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
@@ -228,7 +228,7 @@ def _uncertainty_task(job: Job, item: str) -> Task:
 
 
 def read_surfaces(job: Job) -> dict[str, lpv.LPVFit]:
-    """Return the surfaces made from the present fits, by item; empty when there are none."""
+    """Return the existing surfaces of the present fits by item; empty without any."""
     section = job.experiment.spec.lpv
     if section is None:
         return {}

@@ -1,4 +1,4 @@
-"""Prefilter: checks of its section, filtered recordings, and run-out maps."""
+"""Stage of the prefilter: checks, filtered recordings, and run-out maps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from gbid.recording.recording import load_recording, with_unbalance
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
-    """Yield a problem for each operating point without a stationary recording, position or angle."""
+    """Yield a problem for each operating point without stationary recording, position or angle."""
     section = needed(experiment.spec.prefilter, "prefilter")
     if section.median % 2 == 0:
         yield ("prefilter", "median"), f"{section.median} is even; give an odd size, 1 for no median"
@@ -76,7 +76,7 @@ def prefilter_tasks(job: Job) -> list[Task]:
 
 
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
+    """Return the tasks that store maps and reports, one per operating point, after the prefilter tasks."""
     experiment, section = job.experiment, needed(job.experiment.spec.prefilter, "prefilter")
     failed = {outcome.item.section for outcome in made if outcome.state == "failed"}
     tasks = []
@@ -99,7 +99,7 @@ def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Res
 
 
 def _stills(experiment: Experiment, planned: PlannedRecording) -> list[PlannedRecording]:
-    """Return the recordings from which the run-out map of a recording is made; none without a prefilter or a map."""
+    """Return the stationary recordings for the run-out map of a recording; empty if it needs no map."""
     section = experiment.spec.prefilter
     if section is None or section.method == "none":
         return []
@@ -107,7 +107,7 @@ def _stills(experiment: Experiment, planned: PlannedRecording) -> list[PlannedRe
 
 
 def with_needed(experiment: Experiment, names: Iterable[str]) -> set[str]:
-    """Return the names of recordings and of all others that their prefilter or their making needs."""
+    """Return the names of recordings and of all recordings needed for their prefilter or controller."""
     recordings = [experiment.recordings[name] for name in names]
     recordings += [still for planned in recordings if planned.excited for still in _stills(experiment, planned)]
     recordings += [
@@ -117,18 +117,18 @@ def with_needed(experiment: Experiment, names: Iterable[str]) -> set[str]:
 
 
 def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
-    """Return the recordings of the rig under the controller and without excitation at an operating point."""
+    """Return the recordings of the rig in closed loop without excitation at an operating point."""
     return [planned for planned in experiment.points[point] if planned.run[:1] == ("loop_still",)]
 
 
 def fit_input(experiment: Experiment, planned: PlannedRecording) -> Result:
-    """Return the result file of a recording as fits use it, prefiltered if the experiment has a prefilter."""
+    """Return the result file of a recording as the fits use it: prefiltered if there is a prefilter."""
     made = recording_result if experiment.spec.prefilter is None else prefiltered_result
     return made(experiment, planned)
 
 
 def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
-    """Return a recording as fits use it.
+    """Return a recording as the fits use it: prefiltered if there is a prefilter.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def _write_prefiltered(job: Job, part: Path, name: str) -> None:
 
 
 def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None, dict[str, RunoutMap]]:
-    """Return the run-out map of a recording, and where a controller answers to the run-out the maps of its answers."""
+    """Return the run-out map of a recording, and in closed loop the maps of the controller's response to run-out."""
     try:
         if not answered(job.experiment, planned):
             return _runout_map(job, planned.point), {}
@@ -187,7 +187,7 @@ def _write_map(job: Job, part: Path, label: str) -> Made:
 
 @lru_cache(maxsize=64)
 def _runout_map(job: Job, point: str) -> RunoutMap | None:
-    """Return the run-out map of an operating point; cached, because its recordings and the report use it."""
+    """Return the run-out map of an operating point; cached for its recordings and the report."""
     section = needed(job.experiment.spec.prefilter, "prefilter")
     if section.method == "none":
         return None
@@ -205,7 +205,7 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
 
 
 def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
-    """Return the map by the method of the section, and a note on what was chosen by held-out data."""
+    """Return the run-out map by the method of the section, and a note on a choice by held-out data."""
     if section.method == "bins" or (section.method == "harmonics" and section.harmonics != "auto"):
         number = 1 if section.harmonics == "auto" else section.harmonics  # not used by bins
         return identify_runout(still, method=section.method, harmonics=number, bins=section.bins), ()
@@ -220,7 +220,7 @@ def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[R
 
 @lru_cache(maxsize=64)
 def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
-    """Return the maps of p, r and u, which follow the shaft because the controller answers to the run-out."""
+    """Return the maps of p, r and u over the shaft angle, for a controller that responds to run-out."""
     section = needed(job.experiment.spec.prefilter, "prefilter")
     if section.method == "none":
         return {}
@@ -234,7 +234,7 @@ def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
 
 
 def _by_map(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
-    """Return the excited recordings by their run-out map: operating point, and whether the loop answers to run-out."""
+    """Return the excited recordings that have a common run-out map, keyed by operating point and loop."""
     excited: dict[str, list[PlannedRecording]] = {}
     for point, recordings in experiment.points.items():
         for planned in (q for q in recordings if q.excited):

@@ -1,4 +1,4 @@
-"""Recordings of the virtual rig: checks of its section, and its controller in closed loop."""
+"""Stage of the virtual rig: checks, recordings, and their controller in closed loop."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def rig_runs(experiment: Experiment) -> Found:
 
 
 def _check_run(experiment: Experiment, planned: PlannedRecording) -> None:
-    """Refuse a recording that the rig cannot make, as one without controller of an unstable rotor.
+    """Refuse a recording that the rig cannot simulate, such as an unstable rotor without controller.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _check_run(experiment: Experiment, planned: PlannedRecording) -> None:
 
 
 def rig_keys_go_together(experiment: Experiment) -> Found:
-    """Yield problems of faults, single stacks, places of staircases, sizes in metres, and the compiled controller."""
+    """Yield problems of keys that depend on each other: faults, stacks, staircases, units, compiled controller."""
     rig = needed(experiment.spec.rig, "rig")
     for i, entry in enumerate(rig.faults):
         for pattern in entry.recordings:
@@ -160,7 +160,7 @@ _TIMES: tuple[tuple[str, ...], ...] = (
 
 
 def rig_loop_can_run(experiment: Experiment) -> Found:
-    """Yield problems of the controller of the rig's recordings in closed loop."""
+    """Yield problems of the controller for recordings in closed loop."""
     rig = needed(experiment.spec.rig, "rig")
     if rig.loop is None:
         return
@@ -185,7 +185,7 @@ def rig_loop_can_run(experiment: Experiment) -> Found:
 
 
 def controller_problems(experiment: Experiment, section: ControllerChoice, where: Location) -> Found:
-    """Yield problems of the controller that a section of a loop names."""
+    """Yield problems of the controller that a loop section names."""
     problems = list(refusal(where, partial(chosen, experiment, section)))
     yield from problems
     if not problems and chosen(experiment, section) is section:  # else that of the rig, reported there
@@ -202,7 +202,7 @@ _BINS = 720  # angles of the table that the controller subtracts
 
 
 def loop_controller_of(experiment: Experiment, planned: PlannedRecording) -> LoopController:
-    """Return the controller of a recording of the rig, at its operating point.
+    """Return the controller of a rig recording at its operating point.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def loop_controller_of(experiment: Experiment, planned: PlannedRecording) -> Loo
 
 
 def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled: LinearModel) -> None:
-    """Refuse a controller with which the rotor is unstable, without scatter and effects of the rig.
+    """Refuse a controller with an unstable loop; scatter and effects of the rig are not considered.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
 def running(
     experiment: Experiment, planned: PlannedRecording, run: PlannedRun
 ) -> SampledController | ProgramController:
-    """Return the controller of the rig for one recording.
+    """Return the controller of the rig for one recording, ready to run.
 
     The run-out map that it subtracts is that of the stationary recordings, with which the prefilter works. Two maps
     would differ by the noise of their recordings, to which the loop answers. Where it does not subtract the run-out, it
@@ -268,7 +268,7 @@ def running(
 
 @lru_cache(maxsize=16)
 def _map_at_rest(experiment: Experiment, point: str) -> RunoutMap:
-    """Return the run-out map of the stationary recordings at an operating point, which are made again, bit for bit."""
+    """Return the run-out map from the stationary recordings of an operating point, simulated again bit for bit."""
     still = [rig_run(experiment, planned).record() for planned in stationary_at(experiment, point)]
     section = experiment.spec.prefilter
     if section is None or section.method == "none":

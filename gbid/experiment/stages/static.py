@@ -1,4 +1,4 @@
-"""Static characterisation: checks of its sections, maps and curves, and their tables."""
+"""Stage of the static characterisation: checks, maps and curves from staircases, and tables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ONLY_FOR = {"bearing": ("source",), "piezo": ("channel", "command_channel", "set
 
 
 def static_makes_sense(experiment: Experiment) -> Found:
-    """Yield problems of recordings and signals, and of keys of the other kind."""
+    """Yield problems of recordings, signals, and keys that belong to another kind of characterisation."""
     for name, section in experiment.spec.static.items():
         here: Location = ("static", name)
         chosen = experiment.matching(section.recordings)

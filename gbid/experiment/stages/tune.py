@@ -1,4 +1,4 @@
-"""Tuned controllers: checks of their section, designs, and controller files."""
+"""Stage of the tuned controllers: checks, designs, assessments, and controller files."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
 
 
 def _design_problems(experiment: Experiment, section: ControllerSection) -> Found:
-    """Yield problems of a design, with locations below its section."""
+    """Yield problems of a design at locations relative to its section."""
     model: lpv.LPVModel | None = None
     named: Location = ("model",) if section.model else ()
     try:
@@ -110,7 +110,7 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
 
 
 def _fitted_problems(experiment: Experiment, section: ControllerSection) -> Found:
-    """Yield what a design for the models of a fit cannot have."""
+    """Yield a problem for each option that a design for models of a fit cannot have."""
     if experiment.spec.fits[str(section.model)].loop is not None:
         yield ("model",), f"fit {section.model!r} is of a loop with its controller; name a fit of the plant alone"
     for key in ("operating_points", "schedule", "uncertainty", "robust"):
@@ -166,7 +166,7 @@ PUBLISHED = "published"
 
 
 def design_tasks(job: Job) -> Work:
-    """Return the tasks of the controller section, one for each design; failed outcomes for designs without plant."""
+    """Return the tasks of the controller section, one per design; failed outcomes for designs without plants."""
     work: list[Task | Outcome] = []
     surfaces = _surfaces(job)
     for name in job.experiment.spec.controller:
@@ -179,12 +179,12 @@ def design_tasks(job: Job) -> Work:
 
 
 def design_task(result: Result) -> Task:
-    """Return the task that makes a design."""
+    """Return the task that tunes a design."""
     return Task.of(result, partial(_write_design, name=result.item.section), read=_read_design_summary)
 
 
 def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """Return the tasks of the controller files of the designs among outcomes; each has the key of its design."""
+    """Return the tasks of the controller files of tuned designs; each file has the content key of its design."""
     done = {outcome.path for outcome in made if outcome.state != "failed"}
     tasks = []
     for name in job.experiment.spec.controller:
@@ -196,7 +196,7 @@ def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
-    """Return the designs made from the present settings and fits, by name; nothing is computed.
+    """Return the existing designs for the present settings and fits, by name; nothing is computed.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
 
 
 def _surfaces(job: Job) -> Collection[str]:
-    """Return the names of the surfaces made from the present fits; empty when no design needs them."""
+    """Return the names of the existing surfaces of the present fits; empty if no design needs them."""
     experiment = job.experiment
     if all(surfaces_item(experiment, section) is None for section in experiment.spec.controller.values()):
         return ()
@@ -250,7 +250,7 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Uncertainty | None]:
-    """Return the plants of a design: an LPV model with its uncertainty where the section wants it, or fits by name."""
+    """Return the plants of a design: an LPV model with uncertainty if the section asks for it, or fits by name."""
     if is_fitted(job.experiment, section):
         fit = str(section.model)
         return {f"{fit}_{model}": load_made_fit(job, fit, model) for model in fit_models(job.experiment, fit)}, None
@@ -269,13 +269,13 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Unc
 
 
 def _travel_goal(section: ControllerSection) -> control.PiezoTravel | None:
-    """Return the first goal on the travel of the stacks; None when there is none."""
+    """Return the first goal on the travel of the stacks; None without one."""
     made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == "PiezoTravel")
     return cast("control.PiezoTravel | None", next(made, None))
 
 
 def impact(section: ControllerSection) -> control.HalfSine:
-    """Return the impact for the assessment of designs: that of the goals, or the default."""
+    """Return the impact for the assessment of designs: from the goals, or the default."""
     goal = _travel_goal(section)
     return control.HalfSine() if goal is None else goal.impact
 
@@ -354,7 +354,7 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
 def _robust(
     model: lpv.LPVModel, section: RobustSection, goals: Sequence[control.Goal], options: Mapping[str, Any]
 ) -> tuple[control.GainResult, tuple[RobustPromise, ...]]:
-    """Return the design for the wanted probability, and the promises for all of them."""
+    """Return the robust design for the stated probability, and its predicted performance for all probabilities."""
     from gbid.control.assessment import RobustPromise
 
     numbers = {key: getattr(section, key) for key in ("confidence", "draws", "fresh", "seed")}
@@ -380,7 +380,7 @@ def _robust(
 def assess_published(
     experiment: Experiment, model: lpv.LPVModel, section: ControllerSection | None = None, points: Any = None
 ) -> DesignFigures | None:
-    """Return the assessment of the published controller of a model; None when there is none.
+    """Return the assessment of the published controller of a model; None if it has none.
 
     Without a section, as in experiments without designs, the conditions are those of an empty section ``controller``:
     operating points of the model, sample time of the rig.
