@@ -1,4 +1,4 @@
-"""`python -m gbid`: the command line where the command `gbid` is not on the path."""
+"""`python -m gbid`: the command line, where the command `gbid` is not on the path."""
 
 from gbid.cli.main import main
 

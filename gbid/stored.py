@@ -1,4 +1,4 @@
-"""Values that gbid stores in HDF5: the type of each kind of file, and one function that loads any of them."""
+"""Types of values that gbid stores in HDF5, by kind of file, and `load` for all of them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def load(path: str | Path, kind: type[F]) -> F: ...
 @overload
 def load(path: str | Path, kind: None = None) -> Any: ...
 def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
-    """Return the value in an HDF5 file of `gbid.save`.
+    """Return the value in an HDF5 file written by `gbid.save`.
 
     Parameters
     ----------

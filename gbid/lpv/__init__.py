@@ -1,4 +1,4 @@
-"""Linear parameter-varying (LPV) models: polynomials over scheduling variables, their fits, and their files.
+"""Linear parameter-varying (LPV) models: polynomials over scheduling variables, fits of surfaces, and files.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

@@ -1,4 +1,4 @@
-"""Surfaces of a gas bearing straight from recordings, by the fit of a scheduled structure (paper, Eqs. 15 to 18)."""
+"""Surfaces of a gas bearing directly from recordings, by the fit of a scheduled structure (paper, Eqs. 15 to 18)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def fit_lpv_direct(
     name: str = "",
     progress: Callable[[Progress], None] | None = None,
 ) -> LPVFit:
-    """Return surfaces from one fit of all recordings, for recordings too short or noisy for good single fits.
+    """Return surfaces from one fit of all recordings, for recordings too short or noisy for separate fits.
 
     ``fit(scheduled(structure), recordings)`` estimates the coefficients, and with them actuators and disturbance gains
     that all recordings share. A machine that changes from recording to recording needs a second step, because one
@@ -129,7 +129,7 @@ def fit_lpv_direct(
 
 
 def _points(recordings: Sequence[Recording]) -> FloatArray:
-    """Operating points of recordings, (n, 2)."""
+    """Operating points of the recordings, (n, 2)."""
     for recording in recordings:
         if not set(SCHEDULING) <= set(recording.conditions):
             raise DataError(f"recording {recording.name!r} states no pressure_bar and speed_rpm; surfaces need both")
@@ -184,7 +184,7 @@ def lpv_of(
 def _surfaces_of(
     result: FitResult, actuators: Mapping[str, float] | None, name: str, title: str, source: str
 ) -> LPVFit:
-    """Surfaces of a fit over pressure and speed, of any status; see `lpv_of`."""
+    """Surfaces over pressure and speed from a fit of any status; see `lpv_of`."""
     schedule = result.schedule
     assert schedule is not None
     onto = in_terms(schedule.to_own_units, schedule.exponents)

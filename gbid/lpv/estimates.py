@@ -1,4 +1,4 @@
-"""Estimates to which surfaces are fitted: one row for each recording, without failed fits."""
+"""Estimates for the fit of surfaces (a row for each recording), and polynomial terms for their operating points."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNDETERMINED = 1e-9  # terms are not determined when a singular value is below 
 
 
 class Orthonormal(NamedTuple):
-    """Regressors made orthogonal over the operating points.
+    """Regressors orthogonalised over the operating points.
 
     Attributes
     ----------
@@ -42,14 +42,14 @@ class Orthonormal(NamedTuple):
 
 
 def varying_exponents(points: FloatArray, order: int) -> Exponents:
-    """Powers up to an order of the variables that differ between the points (n, n_variables)."""
+    """Exponents of terms up to an order in the variables that vary between the points (n, n_variables)."""
     fixed = np.ptp(points, axis=0) == 0
     powers = exponents_of(order, points.shape[1])
     return tuple(e for e in powers if not any(power and fixed[i] for i, power in enumerate(e)))
 
 
 def possible_order(points: FloatArray, scheduling: Sequence[str] = SCHEDULING) -> int | tuple[str, ...]:
-    """Return the highest order up to 2 that operating points determine, as the argument ``order`` takes it.
+    """Return the highest order up to 2 that the operating points determine, in the form of the argument ``order``.
 
     It is a list of terms where a variable is the same at all points. Where several vary, one more operating point
     than terms is asked for, because surfaces through all points would fit noise.
@@ -66,12 +66,12 @@ def possible_order(points: FloatArray, scheduling: Sequence[str] = SCHEDULING) -
 
 
 def order_words(order: int | Sequence[str]) -> str:
-    """Return an order as it is written in YAML: ``2``, or ``["1", "P", "P^2"]``."""
+    """Return an order as written in YAML: ``2``, or ``["1", "P", "P^2"]``."""
     return str(order) if isinstance(order, int) else "[" + ", ".join(f'"{term}"' for term in order) + "]"
 
 
 def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCHEDULING) -> Exponents:
-    """Return the powers of the scheduling variables of an order, or of terms by name.
+    """Return the exponents of the scheduling variables for an order, or for named terms.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCH
 
 
 def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> Orthonormal:
-    """Return terms that are orthogonal over the points, because the numbers in bar and rpm differ by large factors.
+    """Return terms orthogonalised over the points: in bar and rpm their sizes differ by large factors.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[s
 
 
 def check_points(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> None:
-    """Refuse operating points that do not determine the terms; see `orthonormal`."""
+    """Refuse operating points that do not determine the terms of a surface; see `orthonormal`."""
     why_not = _undetermined(points, exponents, scheduling)
     if why_not:
         order = order_words(possible_order(points, scheduling))
@@ -141,7 +141,7 @@ def check_points(points: FloatArray, exponents: Exponents, scheduling: Sequence[
 
 
 def _undetermined(points: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> str:
-    """Return why operating points do not determine the terms; an empty text when they do."""
+    """Return why operating points do not determine the terms; an empty text if they do."""
     names = [term_name(e, scheduling) for e in exponents]
     distinct = distinct_points(points)
     if len(distinct) < len(exponents):
@@ -171,7 +171,7 @@ def distinct_points(points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Estimates(Brief):
-    """Estimated parameters of n recordings at their operating points.
+    """Estimated parameters of n recordings, with operating points.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class Estimates(Brief):
         return tuple(tuple(point) for point in distinct_points(self.points).tolist())
 
     def rows(self, keep: Sequence[int]) -> Estimates:
-        """Return the estimates of some recordings, by their positions."""
+        """Return the estimates of selected recordings, by position."""
         chosen = np.array(keep, dtype=int)
         return replace(
             self,
@@ -237,7 +237,7 @@ def as_estimates(
     parameters: tuple[str, ...] = KEY_PARAMETERS,
     scheduling: tuple[str, ...] = SCHEDULING,
 ) -> Estimates:
-    """Return the estimates of a table, or of fit results with their operating points.
+    """Return the estimates in a table of fits, or of fit results with operating points.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ def as_estimates(
 
 
 def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:
-    """Return the covariance of some parameters of a fit, with zero rows for fixed ones."""
+    """Return the covariance of selected parameters of a fit; fixed parameters have zero rows and columns."""
     covariance = np.zeros((len(parameters), len(parameters)))
     free = [i for i, key in enumerate(parameters) if key in fit.free]
     places = [fit.free.index(parameters[i]) for i in free]
@@ -320,12 +320,12 @@ def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:
 
 
 def _reason(success: bool, failure: str = "") -> str:
-    """Return why a fit gives no estimates: the failure of a fit that does not exist; empty for one that converged."""
+    """Return why a recording has no estimates: the failure, or no convergence; an empty text for a converged fit."""
     return "" if success else f"has no fit: {failure}" if failure else "its fit did not converge"
 
 
 def _finite(estimates: Estimates, reasons: Sequence[str]) -> Estimates:
-    """Return the estimates of fits without a reason against them and with finite values; list the others by name."""
+    """Return the finite estimates of fits that did not fail; other recordings are listed by name."""
     keep, left_out = [], list(estimates.left_out)
     for i, name in enumerate(estimates.recordings):
         bad = [key for key, v in zip(estimates.parameters, estimates.values[i], strict=True) if not np.isfinite(v)]

@@ -65,7 +65,7 @@ _TRIES = 20  # largest number of draws for each requested model
 
 @dataclass(frozen=True, eq=False)
 class LPVFit(Brief, Pictured, hdf5.InFile):
-    """Surfaces of k parameters with m terms each, their uncertainty, and the estimates to which they were fitted.
+    """Surfaces of k parameters with m terms each, their uncertainty, and the estimates that they were fitted to.
 
     For a gas bearing these are the fourteen key parameters in the order of `gbid.structure.KEY_PARAMETERS`, with the
     six terms of `TERMS`, in the units of the model (SI per kg, bar, rpm).
@@ -110,7 +110,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
     notes: tuple[str, ...] = ()
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write all fields but the model to the empty `group`; a file beside it has the model."""
+        """Write all fields but the model to the empty `group`; the model has a separate file."""
         hdf5.write_fields(group, self)
         group.attrs.update({"model": self.model.name, "success": self.success})
         hdf5.add_texts(group, "parameters", KEY_PARAMETERS)
@@ -119,12 +119,12 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", words)
 
     def write_beside(self, path: Path, overwrite: bool) -> None:
-        """Write the model beside the file `path`, with the ending .yaml; `overwrite` as for `gbid.save`."""
+        """Write the model to a YAML file beside `path`; `overwrite` as for `gbid.save`."""
         save_model(self.model, path.with_suffix(".yaml"), overwrite)
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> LPVFit:
-        """Return the fit in a `group` of `to_hdf5`, with the model in the model file beside its file."""
+        """Return the fit in a `group` written by `to_hdf5`, with the model from the YAML file beside it."""
         path = Path(group.file.filename).with_suffix(".yaml")
         fit = hdf5.read_fields(group, LPVFit, model=load_model(path))
         stored = hdf5.read_dataset(group, "coefficients")
@@ -175,7 +175,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         }
 
     def tables(self) -> list[Table]:
-        """Return the tables of the deviations from the surfaces, with orders and outliers, and of the coefficients."""
+        """Return the tables of deviations from the surfaces (with orders and outliers), and of coefficients."""
         std = np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
         coefficients: list[Sequence[Entry]] = [
             (name, *(Cell(value, f"{value:.4g} ({s:.1g})") for value, s in zip(*pair, strict=True)))
@@ -211,7 +211,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         yield from (f"note: {note}" for note in self.notes)
 
     def figures(self) -> list[Figure]:
-        """Return modes and delays over pressure, and surfaces of the other parameters, with the estimates."""
+        """Return modes and delays over pressure, and surfaces of the other parameters, with estimates."""
         over = {"frequency": "natural frequencies", "damping": "damping factors", "delay": "delays"}
         surfaces = {"k": "stiffness", "d": "damping", "b": "piezo influence"}
         return [
@@ -225,7 +225,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         return np.array([self.model.coefficients[key] for key in self.estimates.parameters])
 
     def to_frame(self) -> Any:
-        """Return the coefficients as a data frame: a row for each parameter, columns for each term and its std.
+        """Return a data frame of coefficients: a row for each parameter, columns for terms and standard deviations.
 
         Returns
         -------
@@ -244,13 +244,13 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
 
     @property
     def surface(self) -> FloatArray:
-        """Parameters of the surfaces at the operating points of the estimates, (n, k)."""
+        """Parameter values of the surfaces at the operating points of the estimates, (n, k)."""
         terms = regressors(*self.estimates.points.T, exponents=self.model.exponents)
         return np.asarray(terms @ self.coefficients.T)
 
     @property
     def characteristics(self) -> tuple[FloatArray, FloatArray]:
-        """Delays, modes and static gains of the estimates and of the surfaces, each (n, 10): Figs. 14 to 18.
+        """Delays, modes and static gains from estimates and from surfaces, each (n, 10): Figs. 14 to 18.
 
         Columns are in the order of `CHARACTERISTICS`. They are those of a gas bearing.
         """
@@ -259,11 +259,11 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:
-        """Rms and largest deviation of each characteristic, as in Sec. 4 of the paper."""
+        """Rms and largest deviation of each characteristic from the surfaces, as in Sec. 4 of the paper."""
         return deviations(*self.characteristics, self.estimates.recordings)
 
     def uncertainty_at(self, *point: npt.ArrayLike, scatter: bool = False, extrapolate: bool = False) -> FloatArray:
-        """Return the covariance of the parameters of the surfaces at operating points.
+        """Return the covariance of the surfaces' parameter values at operating points.
 
         Parameters
         ----------
@@ -294,7 +294,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         return np.asarray(covariance + self.scatter if scatter else covariance)
 
     def draw(self, n: int, seed: int, *, scatter: bool = False) -> list[LPVModel]:
-        """Return random models from the distribution of the coefficients.
+        """Return random models, drawn from the distribution of the coefficients.
 
         Parameters
         ----------
@@ -339,7 +339,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         ]
 
     def _draws(self, n: int, rng: np.random.Generator, scatter: bool) -> Iterator[FloatArray]:
-        """Yield random coefficients (k, m); the deviation of a recording is added to the first term, the constant."""
+        """Yield random coefficients (k, m); a recording's random deviation is added to the constant terms."""
         root, lift = covariance_root(self.covariance), covariance_root(self.scatter)
         for _ in range(n):
             drawn = self.coefficients + (root @ rng.normal(size=root.shape[1])).reshape(self.coefficients.shape)
@@ -349,12 +349,12 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
 
 
 def with_coefficients(model: LPVModel, names: Sequence[str], coefficients: FloatArray, **changes: Any) -> LPVModel:
-    """Return a copy of a model with other coefficients (k, m) of the named parameters."""
+    """Return a copy of a model with new coefficients (k, m) of the named parameters."""
     return replace(model, coefficients=_rows(names, coefficients), **changes)
 
 
 def _rows(names: Sequence[str], coefficients: FloatArray) -> dict[str, tuple[float, ...]]:
-    """Return coefficients (k, m) as `LPVModel` takes them."""
+    """Return coefficients (k, m) in the form of `LPVModel`."""
     return {key: tuple(row) for key, row in zip(names, coefficients.tolist(), strict=True)}
 
 
@@ -488,7 +488,7 @@ def fit_lpv(
 def _surfaces(
     fits: Sequence[FitResult], structure: Structure, scheduling: tuple[str, ...], parameters: Sequence[str] | None
 ) -> tuple[str, ...]:
-    """Parameters of a structure that become surfaces; fits of another structure and unknown names are refused."""
+    """Parameters of a structure that become surfaces; refuses fits of another structure and unknown names."""
     if not fits or any(fit.structure != structure.name for fit in fits):
         names = ", ".join(sorted({fit.structure for fit in fits})) or "none"
         raise UsageError(f"fit_lpv: the fits are of {names}; give fits of the structure {structure.name!r}")
@@ -505,7 +505,7 @@ def _surfaces(
 def _beside_surfaces(
     fits: Sequence[FitResult], structure: Structure, surfaces: tuple[str, ...]
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the channels of a model and the mean over the fits of each parameter that is no surface, with a note."""
+    """Return a model's channels, and the mean over the fits of each parameter without a surface, with a note."""
     known = [parameter.name for parameter in structure.parameters]
     good = [fit for fit in fits if fit.success]
     if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
@@ -521,7 +521,7 @@ def _beside_surfaces(
 
 
 def _negative_delays(model: LPVModel) -> tuple[str, ...]:
-    """Return notes about operating points of the domain at which a delay of a gas bearing is negative."""
+    """Return notes on operating points of the domain with a negative delay of a gas bearing."""
     delays = [key for key in ("tau_x", "tau_y") if key in model.coefficients]
     if not delays or model.scheduling != SCHEDULING:
         return ()

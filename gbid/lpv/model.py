@@ -26,7 +26,7 @@ __all__ = ["EXPONENTS", "SCHEDULING", "TERMS", "basis", "polynomial", "regressor
 
 
 def basis(*point: Any, exponents: Exponents = EXPONENTS) -> tuple[Any, ...]:
-    """Return the values of the terms of the polynomials, by default the six of Eq. 16.
+    """Return the values of the polynomial terms at a point, by default the six terms of Eq. 16.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def basis(*point: Any, exponents: Exponents = EXPONENTS) -> tuple[Any, ...]:
 
 
 def _product(point: Sequence[Any], powers: Sequence[int]) -> Any:
-    """Return one term by products, which keep the type of the variables; without powers the float 1."""
+    """Return one term as a product, which keeps the type of the variables; the float 1 for the constant term."""
     result: Any = 1.0
     for variable, power in zip(point, powers, strict=True):
         for _ in range(power):
@@ -54,7 +54,7 @@ def _product(point: Sequence[Any], powers: Sequence[int]) -> Any:
 
 
 def regressors(*point: npt.ArrayLike, exponents: Exponents = EXPONENTS) -> FloatArray:
-    """Return the terms at operating points as columns of the regression matrix of Eq. 16.
+    """Return the values of the terms at operating points as columns of the regression matrix of Eq. 16.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Domain:
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Range of each variable by name."""
+        """Range of each scheduling variable, by name."""
         return dict(zip(self.variables, self.bounds, strict=True))
 
     @property
@@ -154,7 +154,7 @@ class Domain:
         return np.array(np.meshgrid(*self.bounds, indexing="ij")).reshape(len(self.bounds), -1).T
 
     def contains(self, *point: npt.ArrayLike) -> bool:
-        """Return whether all given points lie inside or on the border.
+        """Return whether all given points are inside the domain or on its border.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class Domain:
         return all(bool(((low <= v) & (v <= high)).all()) for v, (low, high) in zip(values, self.bounds, strict=True))
 
     def check(self, point: Sequence[Any], owner: str, extrapolate: bool = False, stacklevel: int = 3) -> None:
-        """Refuse operating points outside, or warn when extrapolation is allowed.
+        """Refuse operating points outside the domain, or warn when extrapolation is allowed.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ def _numbers(name: str, value: Any, owner: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class MachineData:
-    """Numbers of a machine that no recording shows; None where one is not known.
+    """Machine data that no recording shows, such as masses; None where unknown.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class MachineData:
         check_options(self, "machine")
 
     def filled(self, other: MachineData) -> MachineData:
-        """Return these numbers, with those of another where one is not known.
+        """Return these machine data, with unknown values taken from others.
 
         Parameters
         ----------
@@ -358,7 +358,7 @@ class LPVModel(Brief):
 
     @property
     def equations(self) -> Structure:
-        """Structure of the model, whose parameters the polynomials and the values held are."""
+        """Structure of the model, with scheduled and constant parameters."""
         return _bearing(self.pade_order) if self.structure is None else self.structure
 
     @property
@@ -404,7 +404,7 @@ class LPVModel(Brief):
     def at(
         self, *point: float, pade_order: int | None = None, extrapolate: bool = False, **variables: float
     ) -> LinearModel:
-        """Return the linear model at one operating point; of a gas bearing ``G_rb`` from u to p (Eq. 19).
+        """Return the linear model at one operating point; for a gas bearing ``G_rb`` from u to p (Eq. 19).
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ class LPVModel(Brief):
         return self._evaluate(Plant(bearing, PiezoPair(), outputs=("p",)), values, place, ("r_x", "r_y"))
 
     def need_bearing(self) -> None:
-        """Refuse a model of another machine than a gas bearing, where key parameters over pressure and speed are used.
+        """Refuse a model that is no gas bearing, where key parameters over pressure and speed are needed.
 
         Raises
         ------
@@ -476,7 +476,7 @@ class LPVModel(Brief):
             )
 
     def _in_order(self, point: Sequence[Any], variables: Mapping[str, Any], scalar: bool = False) -> tuple[Any, ...]:
-        """Return scheduling variables, given in order or by name, in the order of the domain."""
+        """Return scheduling variables, given by position or name, in the order of the domain."""
         later = self.scheduling[len(point) :]
         if unknown := [name for name in variables if name not in later]:
             raise UsageError(f"model {self.name!r}: {unknown[0]} given, too; give {', '.join(self.scheduling)}")
@@ -488,7 +488,7 @@ class LPVModel(Brief):
         return place
 
     def _values(self, place: tuple[Any, ...], extrapolate: bool) -> dict[str, Any]:
-        """Return the parameters of the structure; for arrays of operating points all of their shape."""
+        """Return the structure's parameter values at operating points, all in the shape of the points."""
         self.domain.check(place, f"model {self.name!r}", extrapolate, stacklevel=4)
         numbers = [_as_float(value) for value in place]
         terms = basis(*numbers, exponents=self.exponents)
@@ -515,12 +515,12 @@ class LPVModel(Brief):
 
 @lru_cache(maxsize=8)
 def _bearing(pade_order: int) -> RotorBearing:
-    """Return the rotor on its gas bearing without disturbance gains; it refuses an order below one."""
+    """Return the rotor on its gas bearing without disturbance gains; refuses a Padé order below one."""
     return RotorBearing(pade_order, disturbance_gain="none")
 
 
 def _check_names(where: str, given: Sequence[str], expected: tuple[str, ...]) -> None:
-    """Refuse names that are missing, unknown or given twice."""
+    """Refuse missing, unknown or repeated names."""
     missing = [name for name in expected if name not in given]
     unknown = [name for name in given if name not in expected]
     if missing:
@@ -532,7 +532,7 @@ def _check_names(where: str, given: Sequence[str], expected: tuple[str, ...]) ->
 
 
 def _as_float(value: Any) -> Any:
-    """Return integers and lists as floats, because powers of integers could overflow; symbols are unchanged."""
+    """Return integers and lists as floats, so that powers cannot overflow; symbols are unchanged."""
     if isinstance(value, list | tuple | np.ndarray):
         return np.asarray(value, float)
     return float(value) if isinstance(value, int | float | np.integer | np.floating) else value
@@ -560,7 +560,7 @@ CHARACTERISTICS = tuple(PUBLISHED_RMS)
 
 
 def characteristics(values: npt.ArrayLike) -> FloatArray:
-    """Return the delays, modes and static gains of key parameters.
+    """Return delays, modes and static gains from key parameters.
 
     Parameters
     ----------
@@ -595,7 +595,7 @@ def characteristics(values: npt.ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of the recordings from the surfaces in one characteristic.
+    """Deviation of recordings from the surfaces in one characteristic.
 
     Attributes
     ----------
@@ -618,7 +618,7 @@ class Deviation:
 
 
 def deviations(estimated: FloatArray, surface: FloatArray, recordings: tuple[str, ...]) -> tuple[Deviation, ...]:
-    """Deviations of the estimated characteristics (n, 10) from the characteristics of the surfaces (n, 10).
+    """Deviations of the estimates' characteristics (n, 10) from the surfaces' characteristics (n, 10).
 
     Rows without two modes do not count for the modes.
     """

@@ -1,4 +1,4 @@
-"""Model files in YAML: the LPV model of a machine, and its published controller, dimensions, modes and corrections."""
+"""Model files in YAML: LPV model of a machine, published controller, dimensions, modes and corrections."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Number = Annotated[float, Strict(), AllowInfNan(False)]
 
 
 class FileTable:
-    """Base class of values that are read from a file; unknown keys are refused."""
+    """Base of tables in a model file; unknown keys are refused."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     @classmethod
     def read(cls, file: YamlFile) -> Self:
-        """Return the checked contents of a file.
+        """Return the checked contents of a table.
 
         Raises
         ------
@@ -55,7 +55,7 @@ def _problem(file: YamlFile, problem: Any) -> str:
 
 @dataclass(frozen=True)
 class Quantity(FileTable):
-    """Physical value as printed in its source.
+    """Physical quantity (value and unit) as printed in its source.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Quantity(FileTable):
     source: str = ""
 
     def to(self, unit: str) -> float:
-        """Return the value in another unit.
+        """Return the value converted to another unit.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Quantity(FileTable):
 
 @dataclass(frozen=True)
 class Correction(FileTable):
-    """Correction of one wrong entry of a published table.
+    """Correction of one erroneous entry of a published table.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class ProportionalDesign(FileTable):
 
 @dataclass(frozen=True)
 class ReferenceModes(FileTable):
-    """Modes that a source gives for one operating point.
+    """Published modes at one operating point.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class PiezoController(FileTable):
 
 @dataclass(frozen=True)
 class PiezoControllers(FileTable):
-    """PD controllers of the piezos 1 to n, with the units as printed."""
+    """PD controllers of the piezos 1 to n, in printed units."""
 
     unit: dict[str, str]
     piezos: tuple[PiezoController, ...]
@@ -179,7 +179,7 @@ class PiezoControllers(FileTable):
 
 @dataclass(frozen=True)
 class PublishedMachine(Brief):
-    """Machine as its source publishes it: the LPV model, and beside it controllers, dimensions and measured modes.
+    """Published data of a machine: LPV model, controllers, dimensions and measured modes.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ Row = Annotated[tuple[Number, ...], Field(min_length=len(TERMS), max_length=len(
 
 @dataclass(frozen=True)
 class DomainTable(FileTable):
-    """Ranges of pressure [bar] and speed [rpm] in which the model is valid."""
+    """Ranges of pressure [bar] and speed [rpm] in which a model is valid."""
 
     pressure_bar: Range
     speed_rpm: Range
@@ -227,7 +227,7 @@ class DomainTable(FileTable):
 
 @dataclass(frozen=True)
 class KeyParameterTable(FileTable):
-    """Coefficients of Eq. 16, with the unit of the first coefficient and its factor to SI."""
+    """Coefficients of Eq. 16, with the unit of the first coefficient and the factor to SI."""
 
     terms: tuple[str, ...]
     coefficients: dict[str, Row]
@@ -238,7 +238,7 @@ class KeyParameterTable(FileTable):
 
 @dataclass(frozen=True)
 class ActuatorTable(FileTable):
-    """Actuator parameters of Eq. 12."""
+    """Parameters of the actuators in Eq. 12."""
 
     p1_x: Number
     p2_x: Number
@@ -251,7 +251,7 @@ class ActuatorTable(FileTable):
 
 @dataclass(frozen=True)
 class ModelFile(FileTable):
-    """Contents of a model file, before its corrections."""
+    """Contents of a model file, before corrections are applied."""
 
     kind: Literal["lpv_model"]
     schema_version: Literal[1]
@@ -314,7 +314,7 @@ _OF_MACHINE = {
 
 
 def _machine_data(file: YamlFile, rig: Mapping[str, Quantity]) -> MachineData:
-    """Return the numbers of the machine that its file gives."""
+    """Return the machine data in a model file."""
     known = {}
     for entry, (name, unit) in _OF_MACHINE.items():
         if entry in rig:
@@ -327,13 +327,13 @@ def _machine_data(file: YamlFile, rig: Mapping[str, Quantity]) -> MachineData:
 
 
 def _coefficients(values: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
-    """Return the coefficients in SI per kg from the entries of the table."""
+    """Return the coefficients in SI units per kg from the table entries."""
     scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
     return {key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS}
 
 
 def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
-    """Return all entries that can be corrected, by name, with the corrections applied."""
+    """Return all correctable entries by name, with the corrections applied."""
     key_parameters = table.key_parameters
     values: dict[str, float] = {
         f"{key}[{term}]": value
@@ -363,7 +363,7 @@ def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
 
 
 def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
-    """Refuse another order of terms, and missing or unknown names."""
+    """Refuse a different order of terms, and missing or unknown names."""
     if table.terms != TERMS:
         raise UsageError(
             f"{file.position(('key_parameters', 'terms'))}: terms = [{', '.join(table.terms)}]; "
@@ -389,7 +389,7 @@ def _actuator_values(table: ModelFile) -> dict[str, float]:
 
 
 def load_model(name_or_path: str | Path) -> LPVModel:
-    """Return a model that comes with gbid, or one from a file.
+    """Return a model that comes with gbid, or a model from a file.
 
     Parameters
     ----------
@@ -417,7 +417,7 @@ def load_model(name_or_path: str | Path) -> LPVModel:
 
 
 def load_machine(name_or_path: str | Path) -> PublishedMachine:
-    """Return the published machine of a file: model, controllers, dimensions, modes and corrections.
+    """Return the published data of a machine: model, controllers, dimensions, modes and corrections.
 
     Parameters
     ----------
@@ -447,7 +447,7 @@ def load_machine(name_or_path: str | Path) -> PublishedMachine:
 
 
 def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> None:
-    """Write a model as a YAML file that `load_model` reads back without loss.
+    """Write a model to a YAML file, from which `load_model` reads it without loss.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""Regression of the estimates of many recordings on terms over the scheduling variables (paper, Eqs. 16 to 18).
+r"""Regression of estimates on polynomial terms: mixed-effects model, outliers, order, surfaces (paper, Eqs. 16 to 18).
 
 All k parameters are fitted at once, :math:`\theta_i = (I_k \otimes \varphi_i^T)\, c + b_i + e_i`. The terms
 :math:`\varphi` are made orthogonal over the operating points. Afterwards the coefficients are converted back to the
@@ -101,7 +101,7 @@ def generalised(y: FloatArray, X: FloatArray, V: FloatArray) -> Weighted:
 
 
 def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray | None = None) -> MixedFit:
-    """Return the coefficients and the scatter by restricted maximum likelihood.
+    """Return coefficients and scatter, by restricted maximum likelihood.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
 def _by_point(
     y: FloatArray, distinct: FloatArray, alike: BoolArray, inverse: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients (m,) and their covariance by generalised least squares, with sums over operating points."""
+    """Return generalised least-squares coefficients (m,) and their covariance, from sums over operating points."""
     weights = np.einsum("ip,ikl->pkl", alike, inverse, optimize=True)
     targets = np.einsum("ip,ikl,il->pk", alike, inverse, y, optimize=True)
     transposed = distinct.transpose(0, 2, 1)
@@ -159,13 +159,13 @@ def _by_point(
 
 
 def rms_or_one(values: FloatArray) -> FloatArray:
-    """Return the rms value of each column of (n, k) values, one where it is zero: the scale of the column."""
+    """Return the scale of each column of (n, k) values: the rms, or 1 where the rms is zero."""
     size = np.sqrt(np.mean(values**2, axis=0))
     return np.where(size > 0, size, 1.0)
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return R with R R' equal to a covariance, which may be singular and badly scaled."""
+    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -173,19 +173,19 @@ def covariance_root(covariance: FloatArray) -> FloatArray:
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
-    """Replace eigenvalues that are not positive by small ones, because EM cannot leave a singular start value."""
+    """Replace non-positive eigenvalues by small ones: EM cannot leave a singular start value."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, _LEAST)) @ vectors.T)
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix, computed with scaling."""
+    """Return the inverse of a positive definite matrix, scaled by its diagonal."""
     scale = 1 / np.sqrt(np.diag(information))
     return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Return the covariance of generalised least-squares coefficients without the assumption that V is right, (m, m).
+    """Return the robust covariance (m, m) of generalised least-squares coefficients, valid for a wrong V.
 
     The residuals replace the errors. They are enlarged for rows with large leverage (HC3: MacKinnon and White, 1985).
     """
@@ -197,7 +197,7 @@ def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArr
 def tempered_sandwich(
     y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray, factors: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the covariance of generalised least-squares coefficients, where rows may scatter unequally.
+    """Return the robust covariance of generalised least-squares coefficients for unequal scatter of rows.
 
     The sandwich of `sandwich` takes the covariance of each row from its own residual. Where few rows determine a value
     of the surface, that is a mean over few squares. So the covariance of row i is a weighted mean of the two,
@@ -240,7 +240,7 @@ def _leverage(X: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray, Flo
 
 
 def _scores(residuals: FloatArray, pull: FloatArray, weighted: FloatArray) -> FloatArray:
-    """Return the gradient of each row at its residual as if the row had not been fitted, (n, m)."""
+    """Return the gradient of each row at its leave-one-out residual, (n, m)."""
     without = np.linalg.solve(np.eye(pull.shape[1]) - pull, residuals[:, :, None])
     return np.asarray((weighted.transpose(0, 2, 1) @ without)[:, :, 0])
 
@@ -259,7 +259,7 @@ _HUBER_ROUNDS, _HUBER_SETTLED = 30, 1e-2  # largest number of rounds; change tha
 
 @dataclass(frozen=True)
 class Outlier:
-    """Recording far from the surface of one parameter.
+    """Recording whose estimate of one parameter is far from the surface.
 
     Attributes
     ----------
@@ -278,7 +278,7 @@ class Outlier:
 
 
 def standardised(residuals: FloatArray, V: FloatArray) -> FloatArray:
-    """Return residuals (n, k) over their standard deviations.
+    """Return residuals (n, k) divided by their standard deviations.
 
     `V` (n, k, k) gives the ratio of the standard deviations of the rows. The scale of each column comes from the
     median, so that an outlier that has enlarged `V` is still found.
@@ -292,7 +292,7 @@ def _scale(z: FloatArray) -> FloatArray:
 
 
 def threshold(count: int) -> float:
-    """Return the largest standardised residual that is not an outlier.
+    """Return the largest standardised residual that does not count as an outlier.
 
     It is 3.5, and larger for many entries, because some normal values then exceed 3.5 by chance.
     """
@@ -302,7 +302,7 @@ def threshold(count: int) -> float:
 def outliers(
     recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray, parameters: tuple[str, ...] = KEY_PARAMETERS
 ) -> tuple[Outlier, ...]:
-    """Return the entries of (n, k) arrays beyond the threshold, the largest first."""
+    """Return the entries of (n, k) arrays beyond the threshold, largest first."""
     limit = threshold(z.size)
     beyond = [
         Outlier(recordings[i], parameters[j], float(residuals[i, j]), float(z[i, j]))
@@ -312,7 +312,7 @@ def outliers(
 
 
 def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Huber's estimate by modified residuals, which are clipped at 1.345 standard deviations.
+    """Return Huber's estimate, from residuals clipped at 1.345 standard deviations.
 
     Parameters
     ----------
@@ -414,13 +414,13 @@ def compare_orders(
 
 
 def best_order(scores: tuple[OrderScore, ...]) -> int:
-    """Return the order up to 2 with the best score; 0 where no order can be compared, as with one point."""
+    """Return the order up to 2 with the best score; 0 where orders cannot be compared, as with one point."""
     possible = [s for s in scores if s.order <= 2 and np.isfinite(s.score)]
     return min(possible, key=lambda s: s.score).order if possible else 0
 
 
 def choose_terms(estimates: Estimates, order: Order) -> tuple[Exponents, tuple[OrderScore, ...]]:
-    """Return the terms of an order, that of the best score for ``"auto"``, and the scores of all orders."""
+    """Return the terms of an order (for ``"auto"`` the order of the best score), and the scores of all orders."""
     scores = compare_orders(estimates.points, estimates.values, estimates.scheduling)
     if isinstance(order, str) and order == "auto":
         return varying_exponents(estimates.points, best_order(scores)), scores
@@ -470,7 +470,7 @@ _MISSED = 0.01  # significance level of the lack-of-fit test, divided by the num
 
 @dataclass(frozen=True, eq=False)
 class SurfaceEstimate:
-    """Surfaces in orthogonal terms."""
+    """Surfaces in orthogonal terms, with covariance, scatter and residuals."""
 
     coefficients: FloatArray  # (k, m)
     covariance: FloatArray  # (k m, k m)
@@ -481,7 +481,7 @@ class SurfaceEstimate:
 
 
 def solve_surfaces(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> SurfaceEstimate:
-    """Return the surfaces of all parameters, each scaled by its rms value, in the orthogonal terms of a design."""
+    """Return the surfaces of all parameters (each scaled by its rms) in orthogonal terms."""
     n, k = estimates.values.shape
     scale = rms_or_one(estimates.values)
     y = estimates.values / scale
@@ -522,7 +522,7 @@ def solve_surfaces(estimates: Estimates, design: Orthonormal, weighting: Weighti
 
 
 def kron_designs(columns: FloatArray, k: int) -> FloatArray:
-    """Regressors ``I_k kron columns`` of k parameters, (n, k, k n_terms), from the columns (n, n_terms) of one."""
+    """Regressors ``I_k kron columns`` for k parameters, (n, k, k n_terms), from columns (n, n_terms)."""
     n, m = columns.shape
     X = np.zeros((n, k, k, m))
     X[:, np.arange(k), np.arange(k)] = columns[:, None]
@@ -530,14 +530,14 @@ def kron_designs(columns: FloatArray, k: int) -> FloatArray:
 
 
 def in_terms(back: FloatArray, exponents: Exponents, terms: Exponents = EXPONENTS) -> FloatArray:
-    """Return a matrix with a row for each of `exponents` as one with a row for each of `terms`, zero where not used."""
+    """Return a matrix with rows for `exponents` rearranged to rows for `terms`; zero for unused terms."""
     rows = np.zeros((len(terms), back.shape[1]))
     rows[[terms.index(exponent) for exponent in exponents]] = back
     return rows
 
 
 def in_units_of_terms(covariance: FloatArray, back: FloatArray) -> FloatArray:
-    """Return a covariance of coefficients (k m, k m), converted from m columns to the terms ``back @ columns``."""
+    """Return the covariance of coefficients (k m, k m) after the change of terms ``back @ columns``."""
     n, m = back.shape
     k = len(covariance) // m
     blocks = np.einsum("im,ambn,jn->aibj", back, covariance.reshape(k, m, k, m), back, optimize=True)
@@ -545,7 +545,7 @@ def in_units_of_terms(covariance: FloatArray, back: FloatArray) -> FloatArray:
 
 
 def with_covariance(estimates: Estimates) -> Estimates:
-    """Return the estimates without fits that have no covariance; list these by name."""
+    """Return the estimates that have a covariance; the other fits are listed by name."""
     known = [bool(np.isfinite(covariance).all()) for covariance in estimates.covariance]
     if all(known):
         return estimates
@@ -556,7 +556,7 @@ def with_covariance(estimates: Estimates) -> Estimates:
 
 
 def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
-    """Return a note on the recordings that alone determine the surfaces at their operating point."""
+    """Return a note on recordings that alone determine the surfaces at their operating points."""
     names = [name for name, is_alone in zip(estimates.recordings, alone, strict=True) if is_alone]
     if not names:
         return ()
@@ -570,7 +570,7 @@ def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
 
 
 def surface_notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
-    """Return notes on estimates that were left out, and on parameters with a lack of fit of p-values (k,)."""
+    """Return notes on left-out estimates, and on parameters with a lack of fit by p-values (k,)."""
     notes = [SurfaceNote.LEFT_OUT(f"left out: {entry}") for entry in estimates.left_out]
     names = estimates.parameters
     off = [key for key, p in zip(names, missed, strict=True) if p < _MISSED / len(names)]

@@ -1,4 +1,4 @@
-"""Prefilter and static characterisation (paper, Secs. 3.1 and 3.5): run-out, spikes, offsets, static gains, hysteresis.
+"""Prefilter and static characterisation (paper, Secs. 3.1 and 3.5): run-out, spikes, offsets, gains, hysteresis.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

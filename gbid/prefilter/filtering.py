@@ -1,4 +1,4 @@
-"""Prefilter that prepares measured signals for a linear model (paper, Sec. 3.5), with spikes found one by one."""
+"""Prefilter of measured signals for a linear model (paper, Sec. 3.5): spikes, offline and online filter, reports."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _REACH = 7  # samples at each end that have too few neighbours to be judged
 
 
 class Despiked(NamedTuple):
-    """A signal without spikes, and where they were.
+    """Signal without spikes, and the positions of the removed spikes.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Despiked(NamedTuple):
 
 
 def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: FloatArray | None = None) -> Despiked:
-    """Replace samples that their neighbours on both sides contradict.
+    """Replace samples that disagree with their neighbours on both sides.
 
     A Hampel identifier on the interpolation error. A run of one to three samples is wrong under three conditions:
 
@@ -100,7 +100,7 @@ _MEASURED = ("u", "p")
 
 
 def repair_overloads(rec: Recording) -> Recording:
-    """Return a recording without overloads: samples far beyond the range of all others, in u and p.
+    """Return a recording without overloads: samples of u and p far beyond the range of all others.
 
     Such a sample (a full scale, 9999, 1e37) stands for no position, and decides means, spectra and maps. It is replaced
     as `remove_spikes` does, or on a line between its neighbours where that takes it for part of a step.
@@ -141,7 +141,7 @@ def repair_overloads(rec: Recording) -> Recording:
 
 
 def _overloaded(distance: FloatArray) -> IntArray:
-    """Return the samples far beyond all others, at most one in a hundred, in runs of up to three."""
+    """Return the samples far beyond all others, at most 1 % of a signal, in runs of up to three."""
     order = np.argsort(-distance)
     largest = distance[order[: len(order) // 100 + 1]]
     above = np.flatnonzero((largest[:-1] > OVERLOAD * largest[1:]) & (largest[1:] > 0))
@@ -151,7 +151,7 @@ def _overloaded(distance: FloatArray) -> IntArray:
 
 
 def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
-    """Replace the spikes of one channel in place; return where they were."""
+    """Replace the spikes of one channel in place; return their positions."""
     spikes: list[int] = []
     if len(x) > 2 * _REACH:
         error = np.abs(_interpolation_error(x))
@@ -169,7 +169,7 @@ def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
 
 
 def _wrong_run(x: FloatArray, k: int, limit: float, limit_of_side: float) -> tuple[int, FloatArray]:
-    """Return the start of the shortest wrong run around a suspect sample, and its replacement, empty for none."""
+    """Return start and replacement of the shortest wrong run around a suspect sample; empty if there is none."""
     for length in range(1, LONGEST_RUN + 1):
         first, last = max(k - length + 1, _REACH), min(k + LONGEST_RUN, len(x) - _REACH - length + 1)
         starts = [start for start in range(first, last) if _off_both_sides(x, start, start + length, limit_of_side)]
@@ -182,14 +182,14 @@ def _wrong_run(x: FloatArray, k: int, limit: float, limit_of_side: float) -> tup
 
 
 def _off_both_sides(x: FloatArray, start: int, stop: int, limit: float) -> bool:
-    """Whether the first sample of a run does not continue what is before, nor the last one what is after."""
+    """Whether a run disagrees with the samples before it and with the samples after it."""
     before = x[start] - _BEFORE @ x[start - _REACH : start]
     after = x[stop - 1] - _BEFORE[::-1] @ x[stop : stop + _REACH]
     return bool(min(abs(before), abs(after)) > limit)
 
 
 def _bridged(x: FloatArray, start: int, stop: int) -> tuple[FloatArray, float]:
-    """Return the cubic through two samples on each side of a run, and the largest interpolation error left."""
+    """Return the cubic through two samples on each side of a run, and the largest remaining interpolation error."""
     nodes = np.array([start - 2, start - 1, stop, stop + 1])
     bridge = np.asarray(scipy.interpolate.barycentric_interpolate(nodes, x[nodes], np.arange(start, stop)))
     # The run enters the errors of samples up to two away; the neighbours of those reach two further.
@@ -198,7 +198,7 @@ def _bridged(x: FloatArray, start: int, stop: int) -> tuple[FloatArray, float]:
 
 
 def _interpolation_error(x: FloatArray) -> FloatArray:
-    """Distance of each sample, but two at each end, from the cubic through its four neighbours (n - 4,)."""
+    """Distance of each sample from the cubic through its four neighbours (n - 4,); two at each end are left out."""
     return np.asarray(x[2:-2] - np.convolve(x, _MIDDLE, mode="valid"))
 
 
@@ -207,7 +207,7 @@ def _robust_std(error: FloatArray) -> float:
 
 
 def _converter_step(x: FloatArray) -> float:
-    """Smallest step between two different values."""
+    """Smallest step between two different values: the resolution of the converter."""
     steps = np.diff(np.unique(x))
     return float(steps.min()) if len(steps) else 0.0
 
@@ -218,7 +218,7 @@ _NO_MEAN = ("phi", "force", "pressure_bar", "speed_rpm", "unbalance")  # these h
 
 @dataclass(frozen=True, eq=False)
 class PrefilterReport(Brief):
-    """Report of the prefilter about one recording: what was removed.
+    """Report on one prefiltered recording: what the prefilter removed.
 
     Attributes
     ----------
@@ -384,7 +384,7 @@ def prefilter(
 def _without_runout(
     rec: Recording, position: str, runout_map: RunoutMap, any_condition: bool, notes: list[str]
 ) -> FloatArray:
-    """Return the position minus the map at the recorded angles."""
+    """Return the position minus the run-out map at the recorded angles."""
     p = rec.signal(position)
     if rec.channels[position] != runout_map.channels:
         raise DataError(
@@ -459,11 +459,11 @@ class OnlinePrefilter:
 
     @property
     def delay(self) -> int:
-        """Delay of the output in samples: half the size of the median, rounded down."""
+        """Delay of the output in samples: half the width of the median filter, rounded down."""
         return self._half
 
     def change_map(self, runout_map: RunoutMap) -> None:
-        """Use another map from the next sample on, as at another operating point; the state is kept.
+        """Use another map from the next sample on, as at a new operating point; the state is kept.
 
         Parameters
         ----------
@@ -515,7 +515,7 @@ class OnlinePrefilter:
         return np.asarray(np.sort(np.array(self._window), axis=0)[self._half])
 
     def finish(self) -> list[FloatArray]:
-        """Return the remaining values and reset the filter; as offline, the median does not change these last samples.
+        """Return the last values, not changed by the median as in the offline filter, and reset the filter.
 
         Returns
         -------
@@ -548,7 +548,7 @@ class OnlinePrefilter:
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """Entries of a report for one signal."""
+    """Report entries of one signal."""
 
     channels: Annotated[tuple[str, ...], Stored(shape="channels")]
     rms_before: Annotated[FloatArray, Stored("unit", "rms about the mean before the prefilter", "channels")]
@@ -557,7 +557,7 @@ class _Signal:
 
 
 def correction_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
-    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
+    """Return the prefilter's corrections of each channel of p as plain values, in the unit of p."""
     return [
         {
             "recording": report.name,
@@ -578,7 +578,7 @@ def correction_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
 
 
 def correction_table(rows: Sequence[Row]) -> Table:
-    """Return the table of the corrections by the prefilter, from `correction_rows`."""
+    """Return the table of the prefilter's corrections, from `correction_rows`."""
     units = list(dict.fromkeys(row["unit"] for row in rows))
     factor, unit = shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
     columns = [
@@ -600,7 +600,7 @@ def correction_table(rows: Sequence[Row]) -> Table:
 
 @dataclass(frozen=True, eq=False)
 class PrefilterFile(hdf5.InFile):
-    """Run-out map of an operating point, and the reports of the recordings that it corrected.
+    """Run-out map of an operating point, and the reports on the recordings corrected with it.
 
     Attributes
     ----------
@@ -623,7 +623,7 @@ class PrefilterFile(hdf5.InFile):
         return [correction_table(correction_rows(self.reports))]
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write map and reports to the `group`."""
+        """Write map and reports to a `group`."""
         if self.runout_map is not None:
             _write_map(group.create_group("runout_map"), self.runout_map)
         reports = group.create_group("reports")
@@ -632,20 +632,20 @@ class PrefilterFile(hdf5.InFile):
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> PrefilterFile:
-        """Return map and reports in a `group` of `to_hdf5`."""
+        """Return map and reports from a `group` written by `to_hdf5`."""
         runout_map = hdf5.read_fields(group["runout_map"], RunoutMap) if "runout_map" in group else None
         return cls(runout_map, tuple(_read_report(report) for report in hdf5.read_group(group, "reports").values()))
 
 
 def save_prefiltered(filtered: Recording, report: PrefilterReport, path: Path) -> None:
-    """Write a prefiltered recording with its report, as group ``prefilter_report``; an earlier file is replaced."""
+    """Write a prefiltered recording and its report (group ``prefilter_report``); an existing file is replaced."""
     with hdf5.writing(path, Recording.FILE, overwrite=True) as file:
         filtered.to_hdf5(file)
         _write_report(file.create_group("prefilter_report"), report)
 
 
 def read_report(path: str | Path) -> PrefilterReport:
-    """Return the report in the file of a prefiltered recording.
+    """Return the report in a file of a prefiltered recording.
 
     Raises
     ------
@@ -690,7 +690,7 @@ def _read_report(group: h5py.Group) -> PrefilterReport:
 
 
 def _spike_samples(group: h5py.Group, counts: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """Return the sample numbers of the spikes of each channel; none when spikes were not sought."""
+    """Return the sample numbers of each channel's spikes; empty if the prefilter did not search spikes."""
     if "spike_samples" not in group:
         return ()
     places = hdf5.read_dataset(group, "spike_samples")

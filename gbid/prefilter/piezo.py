@@ -35,7 +35,7 @@ _NEAR_LIMIT = 0.01  # of the range
 
 @dataclass(frozen=True, eq=False)
 class PiezoCurve(Brief, Pictured, hdf5.InFile):
-    """Stationary piezo position over voltage or reference, and its step responses.
+    """Static piezo position over voltage or reference, and step responses.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class PiezoCurve(Brief, Pictured, hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("piezo_curve", REMEDY)
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write this curve to the `group`, in the units of its signals."""
+        """Write this curve to a `group`, in the units of its signals."""
         hdf5.write_fields(group, self, stored_units(self.units))
 
     def _brief(self) -> Description:
@@ -149,13 +149,13 @@ class PiezoCurve(Brief, Pictured, hdf5.InFile):
         return [Table(self.name, [Column(self.channel), Column("value", format=3)], rows, self.notes)]
 
     def figures(self) -> list[Figure]:
-        """Return the hysteresis over the command, and the steps."""
+        """Return the figures of hysteresis over the command, and of the steps."""
         how = "in open loop" if self.units[0] == "V" else "with its controller"
         words = f"Hysteresis of the piezo: {in_unit(self.hysteresis, self.units[1])} {how}"
         return [Figure("plot_piezo_hysteresis", words, ([self],)), Figure("plot_piezo_staircase", "steps", ([self],))]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return rows for CSV, one for each plateau; names have their units in brackets."""
+        """Return rows for CSV, one for each plateau; units are in brackets behind the names."""
         source, output = self.units
         creep = np.concatenate([[np.nan], self.creep])
         saturated = np.concatenate([[False], self.saturated])
@@ -270,7 +270,7 @@ def characterise_piezo(
 def _channels(
     rec: Recording, command: str, position: str, channel: str | None, command_channel: str | None
 ) -> tuple[str, str]:
-    """Return the channel of the position and that of the command."""
+    """Return the channel of the position and the channel of the command."""
     for name in (command, position):
         if name not in rec.signals:
             raise DataError(f"recording {rec.name!r} has no signal {name!r}; it has {', '.join(rec.signals)}")
@@ -288,7 +288,7 @@ def _channels(
 
 
 def _saturated(level: FloatArray, at: FloatArray, gain: FloatArray, limits: tuple[float, float] | None) -> BoolArray:
-    """Mark the steps to or from the end of the travel."""
+    """Mark the steps to or from an end of the travel."""
     if limits is not None:
         low, high = limits
         if not low < high:
@@ -323,7 +323,7 @@ def _creep(rec: Recording, y: FloatArray, plateaus: Plateaus, keep: float, settl
 
 
 def _responses(y: FloatArray, plateaus: Plateaus, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """Return the step responses from zero time and zero position."""
+    """Return the step responses, shifted to start at time zero and position zero."""
     length = int((plateaus.stop - plateaus.start)[1:].min())
     columns = []
     for k in range(1, len(plateaus)):

@@ -1,4 +1,4 @@
-"""Run-out map over the shaft angle, portable cosine and sine, shaft angle of a recording, running median."""
+"""Run-out maps over the shaft angle, portable cosine and sine, shaft motion of a recording, running median."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def cos_sin(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def cos_sin_of_one(angle: float) -> tuple[float, float]:
-    """Return cosine and sine of one angle, the same bits as `cos_sin` in a tenth of its time.
+    """Return cosine and sine of one angle, bit for bit as `cos_sin` but ten times as fast.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def cos_sin_of_one(angle: float) -> tuple[float, float]:
 
 
 def _within_a_quarter(angle: Any, quarters: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of the remainder of angles after their nearest quarter turns (numbers or arrays)."""
+    """Return cosine and sine of angles minus their nearest quarter turns (numbers or arrays)."""
     rest = (angle - quarters * QUARTER[0]) - quarters * QUARTER[1]
     z = rest * rest
     return 1.0 - (0.5 * z - z * (z * _polynomial(COSINE, z))), rest + (z * rest) * _polynomial(SINE, z)
@@ -109,7 +109,7 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class RunoutMap(Brief):
-    r"""Map of run-out and unbalance response over the shaft angle, the filter F_r(phi) of Sec. 3.5 of the paper.
+    r"""Map of run-out and unbalance response over the shaft angle: the filter F_r(phi) of Sec. 3.5 of the paper.
 
     It has the form of harmonics, :math:`F(\phi) = m + \sum_n a_n \cos n\phi + b_n \sin n\phi`, or of a table over the
     angle with linear interpolation. It is made by `identify_runout`.
@@ -159,11 +159,11 @@ class RunoutMap(Brief):
 
     @property
     def needs_angle(self) -> bool:
-        """Whether the map depends on the angle; the map of a shaft at rest is the mean alone."""
+        """Whether the map depends on the angle; for a shaft at rest it is a mean only."""
         return self.method != "mean"
 
     def evaluate(self, phi: FloatArray) -> FloatArray:
-        """Return the map at given shaft angles.
+        """Return the values of the map at shaft angles.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class RunoutMap(Brief):
         return value
 
     def _add_harmonics(self, phi: FloatArray, value: FloatArray) -> None:
-        """Add the harmonics by angle addition, with rounding that does not depend on the number of angles."""
+        """Add the harmonics by angle addition; rounding does not depend on the number of angles."""
         # The online filter calls this with one angle, the offline filter with many. A matrix product would round
         # differently in the two cases; products and sums one by one give the same bits. Numbers take a tenth of the
         # time of arrays of one number.
@@ -194,7 +194,7 @@ class RunoutMap(Brief):
             value[:] = np.transpose(self._summed(*cos_sin(np.asarray(phi, dtype=float)), list(value.T)))
 
     def _summed(self, cos_1: Any, sin_1: Any, sums: list[Any]) -> list[Any]:
-        """Return sums by channel plus the harmonics, numbers or arrays as cosine and sine of the angle are."""
+        """Return sums by channel with the harmonics added; cosine and sine may be numbers or arrays."""
         cos_n, sin_n = cos_1, sin_1
         rows = zip(self.orders.tolist(), self.cosine.tolist(), self.sine.tolist(), strict=True)
         coefficients = {int(order): list(zip(a, b, strict=True)) for order, a, b in rows}
@@ -227,7 +227,7 @@ class RunoutMap(Brief):
         return np.zeros((0, len(self.mean)))
 
     def check_conditions(self, name: str, conditions: Mapping[str, float]) -> None:
-        """Refuse a recording at another operating point than that of the map.
+        """Refuse a recording whose operating point differs from the map's.
 
         Parameters
         ----------
@@ -267,7 +267,7 @@ _SPEED_TOLERANCE = 0.02
 
 
 class ShaftMotion(NamedTuple):
-    """Shaft angle of one recording.
+    """Shaft angle and number of turns of one recording.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class ShaftMotion(NamedTuple):
 
 
 def turns_per_second(rec: Recording) -> float | None:
-    """Return the mean speed of the shaft by its angle phi [1/s]; None without an angle or for less than one turn."""
+    """Return the mean shaft speed from the angle phi [1/s]; None without an angle or below one turn."""
     if "phi" not in rec.signals or rec.signal("phi").shape[1] != 1 or rec.n_samples < 2:
         return None
     course = np.unwrap(rec.signal("phi")[:, 0])
@@ -291,7 +291,7 @@ def turns_per_second(rec: Recording) -> float | None:
 
 
 def shaft_motion(rec: Recording) -> ShaftMotion:
-    """Return the shaft angle phi, after a comparison with the stated speed.
+    """Return the shaft angle phi after a check against the stated speed.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
 
 
 def sensor_notes(rec: Recording, position: str) -> list[str]:
-    """Return notes on clipped channels of the position, and on jumps and stops of the shaft angle."""
+    """Return notes on clipped position channels, and on jumps and stops of the shaft angle."""
     signals = [name for name in (position, "phi") if name in rec.signals]
     clipped = find_problems(rec, signals, ("saturated",))
     jumps = find_problems(rec, signals, ("encoder",))
@@ -347,7 +347,7 @@ def sensor_notes(rec: Recording, position: str) -> list[str]:
 
 
 def running_median(values: FloatArray, size: int) -> FloatArray:
-    """Return the median over `size` neighbouring samples of each channel (paper, Sec. 3.5: size 3).
+    """Return the running median over `size` samples of each channel (paper, Sec. 3.5: size 3).
 
     The median removes spikes of one sample, but it has two side effects. Of white noise, size 3 leaves 45 % of the
     variance and colours it: the correlation of neighbours is 0.55, that of samples two apart is 0.26. Each crest of a

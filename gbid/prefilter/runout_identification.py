@@ -1,4 +1,4 @@
-"""Identification of a run-out map from recordings with piezos at rest (paper, Sec. 3.5)."""
+"""Run-out maps from recordings with piezos at rest (paper, Sec. 3.5): identification, residual, choice, alignment."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def identify_runout(
     signal: str = "p",
     in_loop: bool = False,
 ) -> RunoutMap:
-    """Return the map of the disc position over the shaft angle, from recordings with piezos at rest.
+    """Return the run-out map over the shaft angle, from recordings with piezos at rest.
 
     All recordings share one map. Each has its own mean, and the map keeps the average of these means. When the shaft
     stands still (0 rpm), the position cannot be related to the angle, and the map is the mean alone.
@@ -159,7 +159,7 @@ def _check_still(rec: Recording, still: float, notes: list[str], signals: tuple[
 def _fit_harmonics(
     angles: list[FloatArray], p: list[FloatArray], orders: FloatArray
 ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """Least squares on one mean per recording and shared harmonics; return means, cosine and sine."""
+    """Fit a mean for each recording and shared harmonics by least squares; return means, cosine and sine."""
     lengths = [len(values) for values in p]
     phase = np.outer(np.concatenate(angles), orders)
     own_mean = np.repeat(np.eye(len(p)), lengths, axis=0)
@@ -183,14 +183,14 @@ def _fit_harmonics(
 
 
 def _mean_over_turns(motion: ShaftMotion, values: FloatArray) -> FloatArray:
-    """Return the mean over the largest whole number of turns, in which the harmonics average out."""
+    """Return the mean over the largest whole number of turns, which contains no harmonics."""
     course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
     inside = course < TURN * np.floor(motion.turns)
     return np.asarray(values[inside].mean(axis=0))
 
 
 def _bin_means(angle: FloatArray, centred: FloatArray, bins: int) -> tuple[FloatArray, FloatArray]:
-    """Return the mean angle and mean position in each part of a turn that has samples."""
+    """Return the mean angle and mean position of each angle bin that has samples."""
     wrapped = np.mod(angle, TURN)
     index = np.minimum((wrapped * (bins / TURN)).astype(int), bins - 1)
     count = np.bincount(index, minlength=bins)
@@ -219,7 +219,7 @@ _UPPER = 0.5  # upper part of the spectrum that contains sensor noise only
 
 @dataclass(frozen=True, eq=False)
 class RunoutResidual(Brief):
-    """Residual of one stationary recording after a run-out map.
+    """Residual of one stationary recording after subtraction of a run-out map.
 
     On a stable orbit the residual is the sensor noise. At 4000 rpm the orbit of the paper (Sec. 4) is not stable: it
     moves slowly, and no function of the shaft angle describes that.
@@ -259,7 +259,7 @@ class RunoutResidual(Brief):
 
     @property
     def over_noise(self) -> FloatArray:
-        """Residual over sensor noise, (n_channels,); 1 for a perfect map."""
+        """Residual divided by sensor noise, (n_channels,); 1 for a perfect map."""
         return np.asarray(self.rms / self.noise)
 
 
@@ -308,7 +308,7 @@ def runout_residual(runout_map: RunoutMap, rec: Recording) -> RunoutResidual:
 
 
 def power_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """Return the mean square per frequency, without the mean; its sum over the frequencies is the variance.
+    """Return the power spectrum without the mean; its sum over frequencies is the variance.
 
     Returns
     -------
@@ -325,7 +325,7 @@ def power_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatA
 
 
 def leftover_words(runout_map: RunoutMap, recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return a remark on each strongest line that a map leaves in stationary recordings, above a share of the noise.
+    """Return a remark on each strong line that a map leaves in stationary recordings.
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ BINS = (25, 50, 100, 200)
 
 @dataclass(frozen=True, eq=False)
 class RunoutTrial(Brief):
-    """Cross-validation result of one method and size.
+    """Cross-validation result of one method and size of a run-out map.
 
     Attributes
     ----------
@@ -396,13 +396,13 @@ class RunoutTrial(Brief):
 
     @property
     def n_parameters(self) -> int:
-        """Number of parameters of the map for each channel, without the mean."""
+        """Number of map parameters for each channel, not counting the mean."""
         return 2 * self.size if self.method == "harmonics" else self.size
 
 
 @dataclass(frozen=True, eq=False)
 class RunoutComparison(Brief):
-    """Trials of a cross-validation, and the map of the chosen trial.
+    """Trials of a cross-validation, and the map of the recommended trial.
 
     Attributes
     ----------
@@ -424,7 +424,7 @@ class RunoutComparison(Brief):
         return next(trial for trial in self.trials if trial.chosen)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the trials as a table: method, size, residual_rms_<channel> [m], chosen, note."""
+        """Return the trials as table rows: method, size, residual_rms_<channel> [m], chosen, note."""
         return [
             {
                 "method": trial.method,
@@ -448,7 +448,7 @@ def compare_runout(
     folds: Annotated[int, Ge(2)] = 4,
     still: float = 0.5e-6,
 ) -> RunoutComparison:
-    """Return a cross-validation of run-out maps by harmonics and by angle bins, with the recommended one.
+    """Return a cross-validation of run-out maps (harmonics and angle bins), with a recommended map.
 
     With several recordings, each is the validation part once. A single recording is cut into `folds` stretches of equal
     length. Each map is made from the other parts and evaluated by the residuals on the validation part, about their own
@@ -508,7 +508,7 @@ def compare_runout(
 
 
 def _stretches(rec: Recording, folds: int) -> list[Recording]:
-    """Return parts of equal length, each of two turns or more."""
+    """Return parts of equal length, each at least two turns long."""
     motion = shaft_motion(rec)
     if motion.turns and motion.turns < 2 * folds:
         raise DataError(
@@ -520,7 +520,7 @@ def _stretches(rec: Recording, folds: int) -> list[Recording]:
 
 
 def _tried(method: str, size: int, parts: list[Recording], still: float) -> RunoutTrial:
-    """Return the trial of one method and size, with each part as validation part once."""
+    """Return the trial of one method and size; each part is once the validation part."""
     n_channels = parts[0].signal("p").shape[1]
     rms = []
     sized: dict[str, Any] = {"method": method, method: size}
@@ -541,7 +541,7 @@ def _trial(method: str, size: int, fold_rms: FloatArray, chosen: bool = False) -
 
 
 def _simplest_of_the_best(trials: list[RunoutTrial]) -> RunoutTrial:
-    """Return the simplest trial within one standard error of the best, on paired differences of the mean squares."""
+    """Return the simplest trial within one standard error of the best, by paired differences of mean squares."""
     squares = [np.sum(trial.fold_rms**2, axis=1) for trial in trials]
     best = min(squares, key=lambda m: float(m.mean()))
     alike = []
@@ -564,7 +564,7 @@ _MAX_BLOCKS = 20
 
 @dataclass(frozen=True, eq=False)
 class IndexAlignment(Brief):
-    """Offset between the zero of the encoder in a recording and that of a run-out map.
+    """Angle offset between the encoder zero of a recording and the zero of a run-out map.
 
     Attributes
     ----------
@@ -594,11 +594,11 @@ class IndexAlignment(Brief):
 
     @property
     def sure(self) -> bool:
-        """Whether the next best offset is worse by 5 standard deviations or more and the map explains at least half."""
+        """Whether the offset is reliable: 5 standard deviations better than the next, and half of the map explained."""
         return self.margin >= SURE and self.explained >= 0.5
 
     def apply(self, rec: Recording) -> Recording:
-        """Return the recording with its angle counted from the zero of the map.
+        """Return the recording with its angle counted from the map's zero.
 
         Parameters
         ----------
@@ -623,7 +623,7 @@ class IndexAlignment(Brief):
 
 
 def align_index(runout_map: RunoutMap, recording: Recording, *, orders: Count = 10) -> IndexAlignment:
-    r"""Return the angle offset of a recording whose encoder had no index.
+    r"""Return the angle offset of a recording from an encoder without index.
 
     Let :math:`A_n` be the harmonics of the recorded position over the recorded angle, and :math:`M_n` those of the
     map. They differ by a rotation: :math:`A_n = M_n e^{i n \delta}`. The offset minimises :math:`J(\delta) = \sum_n
@@ -697,7 +697,7 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: Count = 
 
 
 def refuse_lost_index(runout_map: RunoutMap, recording: Recording) -> None:
-    """Refuse a recording whose run-out is a rotated copy of the map, which would then add run-out.
+    """Refuse a recording whose run-out is a rotated copy of the map: subtraction would add run-out.
 
     Parameters
     ----------
@@ -733,7 +733,7 @@ def _map_phasors(runout_map: RunoutMap, orders: int) -> FloatArray:
 
 
 def _phasors(motion: ShaftMotion, p: FloatArray, orders: FloatArray) -> FloatArray:
-    """Return the complex amplitudes in several parts of whole turns, (n_parts, n_orders, n_channels)."""
+    """Return complex amplitudes of the harmonics for several parts of whole turns, (n_parts, n_orders, n_channels)."""
     course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
     n_parts = int(min(_MAX_BLOCKS, motion.turns // 2))
     edges = np.searchsorted(course, TURN * np.floor(motion.turns / n_parts) * np.arange(n_parts + 1))
@@ -748,7 +748,7 @@ def _phasors(motion: ShaftMotion, p: FloatArray, orders: FloatArray) -> FloatArr
 
 
 def _refined(misfit: object, start: float) -> tuple[float, float, float]:
-    """Return the minimum of the parabola through three neighbours: its place, its value and the curvature."""
+    """Return the minimum of a parabola through three neighbouring points: position, value and curvature."""
     assert callable(misfit)
     step = TURN / _GRID
     for _ in range(3):

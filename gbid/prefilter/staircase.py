@@ -1,4 +1,4 @@
-"""Staircase recordings: plateaus, their steady means, hysteresis, and the static map (paper, Sec. 3.1)."""
+"""Staircase recordings: plateaus, steady means, hysteresis, and the static map (paper, Sec. 3.1)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _HARMONICS = 6
 
 @dataclass(frozen=True, eq=False)
 class Plateaus:
-    """Stretches of a recording on which all channels of a command are constant.
+    """Stretches of a recording in which all channels of a command are constant.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Plateaus:
 
 
 def find_plateaus(rec: Recording, command: str) -> Plateaus:
-    """Return the plateaus of a staircase, found from its command.
+    """Return the plateaus of a staircase, from the steps of its command.
 
     The command must be without noise. A step is a change by more than 0.1 % of the whole travel from one sample to the
     next. Stretches of less than 80 samples are transitions between plateaus.
@@ -90,7 +90,7 @@ def find_plateaus(rec: Recording, command: str) -> Plateaus:
 
 @dataclass(frozen=True, eq=False)
 class SteadyMeans:
-    """Means of a signal on the steady parts of plateaus.
+    """Means of a signal over the steady parts of plateaus.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class SteadyMeans:
 
 
 def steady_parts(rec: Recording, plateaus: Plateaus, keep: float) -> list[tuple[int, int]]:
-    """Return the steady part of each plateau: its first sample and the one after its last.
+    """Return the steady part of each plateau: first sample, and sample after the last.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def steady_means(values: FloatArray, parts: list[tuple[int, int]], angle: FloatA
 
 
 def _without_harmonics(part: FloatArray, angle: FloatArray) -> FloatArray:
-    """Remove the harmonics of the shaft angle, but not the mean."""
+    """Remove the harmonics of the shaft angle, and keep the mean."""
     turns = abs(float(np.unwrap(angle)[-1] - angle[0])) / (2 * np.pi)
     if turns < 2:
         return part
@@ -192,7 +192,7 @@ _WIDEST = 2.5  # largest distance of neighbours, in median steps
 
 
 def monotone_runs(level: FloatArray) -> list[tuple[int, list[int]]]:
-    """Return the runs of rising or falling levels in a sequence.
+    """Return the runs of rising or falling levels.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def monotone_runs(level: FloatArray) -> list[tuple[int, list[int]]]:
 
 
 def branch_difference(at: FloatArray, value: FloatArray, error: FloatArray) -> tuple[float, float, float]:
-    """Return the largest difference between an up branch and a down branch at the same input.
+    """Return the largest difference between rising and falling branch at equal input (hysteresis).
 
     Each point of one branch is compared with the straight line between its neighbours on the other branch, where the
     branches overlap. The neighbours must not be farther apart than 2.5 median steps: across a wider gap, curvature
@@ -283,14 +283,14 @@ REMEDY = "make it again with `gbid static`"
 
 
 def stored_units(units: tuple[str, str]) -> dict[str, str]:
-    """Return the units of stored fields by the words that these declare, from the units of input and output."""
+    """Return the units of stored fields by keyword ("in", "out", "gain"), from the units of input and output."""
     source, output = units
     return {"in": source, "out": output, "gain": f"{output}/{source}", "gain^2": f"({output}/{source})^2"}
 
 
 @dataclass(frozen=True, eq=False)
 class StaticMap(Brief, Pictured, hdf5.InFile):
-    r"""Steady positions over steady inputs, and the straight lines fitted to them.
+    r"""Static map: steady positions over steady inputs, with fitted straight lines.
 
     .. math:: \bar p_{i,k} = \sum_j g_{ij} \bar u_{j,k} + c_{i,m(k)} + e_{i,k}
 
@@ -369,7 +369,7 @@ class StaticMap(Brief, Pictured, hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("static_map", REMEDY)
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write this map to the `group`, in the units of its signals."""
+        """Write this map to a `group`, in the units of its signals."""
         hdf5.write_fields(group, self, stored_units(self.units))
 
     def _brief(self) -> Description:
@@ -388,7 +388,7 @@ class StaticMap(Brief, Pictured, hdf5.InFile):
     drawn_by = "plot_static_map"
 
     def document(self) -> Row:
-        """Return gains with their intervals and deviations from straight lines as plain values, for JSON."""
+        """Return gains with confidence intervals, and deviations from straight lines, as plain values for JSON."""
         interval = self.interval()
         figures = {
             **{"gain": self.gain, "std": self.gain_std, "lower_95": interval[..., 0], "upper_95": interval[..., 1]},
@@ -411,7 +411,7 @@ class StaticMap(Brief, Pictured, hdf5.InFile):
         }
 
     def tables(self) -> list[Table]:
-        """Return the table of the gains, with the deviations from straight lines."""
+        """Return the table of gains and of deviations from straight lines."""
         factor, unit = shown_unit(self.units[1])
         names = {"rms": "rms off\nlinear\n", "largest": "largest\n", "hysteresis": "hysteresis\n"}
         names["hysteresis_std"] = "its std\n"
@@ -454,7 +454,7 @@ class StaticMap(Brief, Pictured, hdf5.InFile):
         return np.stack([self.gain - half, self.gain + half], axis=-1)
 
     def panel(self, output: int, source: int) -> dict[str, FloatArray]:
-        """Return the arrays of one panel of Fig. 5: output i over input j.
+        """Return the arrays for one panel of Fig. 5: output i over input j.
 
         Parameters
         ----------
@@ -482,7 +482,7 @@ class StaticMap(Brief, Pictured, hdf5.InFile):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return rows for CSV, one for each plateau; names have their units in brackets."""
+        """Return rows for CSV, one for each plateau; units are in brackets behind the names."""
         source, output = self.units
         return [
             {
@@ -518,7 +518,7 @@ def characterise_staircase(
     position: str = "p",
     keep: Share = 0.5,
 ) -> StaticMap:
-    """Return the static map from inputs to positions, fitted by least squares to staircases up and down.
+    """Return the static map from inputs to positions, by least squares on rising and falling staircases.
 
     The plateaus are found from the command. The last part of each plateau counts as steady. Least squares on the
     steady means give the gains, and one offset for each recording, so that a staircase in x and one in y can be
@@ -618,7 +618,7 @@ def _check_alike(group: list[Recording], signals: tuple[str, ...]) -> None:
 def _of_one(
     rec: Recording, number: int, command: str, source: str, position: str, keep: float
 ) -> dict[str, FloatArray]:
-    """Return the plateaus of one recording as columns of a table."""
+    """Return the plateaus of one recording as table columns."""
     plateaus = find_plateaus(rec, command)
     parts = steady_parts(rec, plateaus, keep)
     angle = rec.signal("phi")[:, 0] if "phi" in rec.signals else None
@@ -646,7 +646,7 @@ def _of_one(
 def _covariance(
     basis: FloatArray, residual: FloatArray, std_error: FloatArray, shifted: FloatArray, dof: int
 ) -> FloatArray:
-    """Return the covariance of the gains, row by row."""
+    """Return the covariance of the gains, taken row by row."""
     n_inputs, n_outputs = len(shifted), residual.shape[1]
     inverse = np.linalg.inv(basis.T @ basis)[: shifted.sum(), : shifted.sum()]
     noise = residual.T @ residual / dof
@@ -664,7 +664,7 @@ def _covariance(
 def _deviations(
     table: dict[str, FloatArray], residual: FloatArray, n_inputs: int, n_outputs: int
 ) -> dict[str, FloatArray]:
-    """Return rms, largest value and branch difference of the deviations on the staircase of each input."""
+    """Return rms, maximum and branch difference of the deviations, on the staircase of each input."""
     deviations = {
         name: np.full((n_outputs, n_inputs), np.nan) for name in ("rms", "largest", "hysteresis", "hysteresis_std")
     }

@@ -1,4 +1,4 @@
-"""Recordings: the data type, its HDF5 store, importers and quality checks.
+"""Recordings: data type, HDF5 files, importers and quality checks.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

@@ -1,4 +1,4 @@
-"""Check of cause: a signal cannot answer before the one that drives it."""
+"""Causality check: a signal cannot respond before its source moves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _EXPLAINED, _CHI2 = 0.015, 120.0  # of what the past leaves: share that steps to
 
 
 class Lead(NamedTuple):
-    """Time by which a signal answers too early.
+    """Time by which a signal responds before its source.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Lead(NamedTuple):
 
 
 def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None = None) -> Lead | None:
-    """Return by how much a target answers before steps of its source; None where no such answer is seen.
+    """Return by how much a target responds before steps of its source; None where it does not.
 
     A step is a sample of the source far beyond what its own past predicts, as the edges of a PRBS; neither a controller
     nor a resonance makes one. What the past of both signals and a step at the present or the next sample leave of the
@@ -97,7 +97,7 @@ def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None
 
 
 def _steps(column: FloatArray) -> FloatArray | None:
-    """Return the directions of the steps of a source, -1, 0 or 1 for each sample; None where there are few of them."""
+    """Return the step directions of a source, -1, 0 or 1 for each sample; None if there are too few steps."""
     rows = np.lib.stride_tricks.sliding_window_view(column - column.mean(), _ORDER + 1)
     past, present = rows[:, :-1], rows[:, -1]
     gram = past.T @ past

@@ -1,4 +1,4 @@
-"""Clock of imported recordings: sample time, units of times, columns with several clocks, gaps and jitter."""
+"""Clocks of imported recordings: sample time, units of times, columns with different clocks, gaps and jitter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TURN = 2 * np.pi
 
 
 def jitter_ppm(time: FloatArray) -> float:
-    """Return the rms deviation of sample times from even ones, in millionths of the sample time."""
+    """Return the rms deviation of sample times from evenly spaced ones, in millionths of the sample time."""
     index = np.arange(len(time), dtype=float)
     steps = (time - time[0]) / np.median(np.diff(time))  # no time is too long for its square
     slope, offset = np.polyfit(index, steps, 1)
@@ -34,7 +34,7 @@ def jitter_ppm(time: FloatArray) -> float:
 
 
 def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: float) -> FloatArray:
-    """Return signals at even times, from the first to the last time.
+    """Return signals interpolated to evenly spaced times, from the first to the last time.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ _DOUBLED = 0.05  # share of equal times from which the column is called rounded
 
 @dataclass(frozen=True)
 class ClockPiece:
-    """Samples of a file that one even clock describes.
+    """Samples of a file with one evenly spaced clock, between gaps.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class ClockPiece:
 
 
 def even_step(values: FloatArray, tolerance: float = MAX_JITTER) -> float | None:
-    """Return the median step of a column that rises in even steps, as a time column does; otherwise None.
+    """Return the median step of a column with evenly rising values, such as a time column; else None.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def even_step(values: FloatArray, tolerance: float = MAX_JITTER) -> float | None
 def even_pieces(
     path: Path, what: str, time: FloatArray, columns: Mapping[str, FloatArray], start: int
 ) -> list[ClockPiece]:
-    """Return the pieces without gap of a recording; doubled samples are left out.
+    """Return the gap-free pieces of a recording; repeated samples are left out.
 
     A sample is doubled when it has the time and the values of the one before. A gap is a step of more than 1.5 median
     steps, a step back, or two samples of one time with different values.
@@ -185,7 +185,7 @@ _OFF_GRID = 0.02  # largest part of a sample by which starts of clocks, and thei
 
 
 def has_one_clock(columns: Mapping[str, FileColumn]) -> bool:
-    """Return whether all columns have the same times, as far as the file states starts and steps."""
+    """Return whether all columns have equal times, as far as the file states starts and steps."""
     starts = {column.start_ns for column in columns.values()}
     if len({column.clock for column in columns.values()}) <= 1:
         return len(starts - {None}) <= 1
@@ -194,7 +194,7 @@ def has_one_clock(columns: Mapping[str, FileColumn]) -> bool:
 
 
 def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColumn]:
-    """Return columns whose clocks begin at different times on their common span, with a remark that says so.
+    """Return columns with different start times, cut to their common time span, with a remark.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def _refuse_other_rates(path: Path, steps: Mapping[str, float]) -> None:
 
 
 def _starts_in_words(columns: Mapping[str, FileColumn]) -> str:
-    """Return when columns begin after the first one."""
+    """Return a text on the start times of columns relative to the first one."""
     first = min(columns, key=lambda name: columns[name].start_ns or 0)
     after = {name: 1e-9 * ((column.start_ns or 0) - (columns[first].start_ns or 0)) for name, column in columns.items()}
     late = [(name, seconds) for name, seconds in after.items() if seconds > 0]
@@ -301,7 +301,7 @@ _LONGEST_GRID = 200  # samples of the grid for each measured one: passes of a fi
 
 
 def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> Clock:
-    """Return a clock whose samples stand on a grid of times, between which samples are missing, or at their own times.
+    """Return a clock on a grid of times with missing samples, or with irregular times.
 
     A sample time that is given is the step of the grid. Without one the times are their own where they fit no grid.
     """
@@ -336,14 +336,14 @@ def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> C
 
 
 def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
-    """Return samples (n, n_channels) at their places of a grid; others are NaN."""
+    """Return samples (n, n_channels) at their places on a time grid; missing samples are NaN."""
     grid = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
     grid[places] = values
     return grid
 
 
 def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> Clock:
-    """Return the samples to take and their sample time; check that all that give one agree.
+    """Return the samples to import and the sample time; all stated sample times must agree.
 
     Parameters
     ----------
@@ -409,7 +409,7 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
 
 
 def _round_time(mean: float, share: float) -> float:
-    """Return the nearest round sample time or rate within a relative distance, so that files of one logger agree."""
+    """Return a round sample time or rate within a relative distance, so that files of one logger agree."""
     candidates = [float(f"{mean:.4g}"), 1 / float(f"{1 / mean:.4g}")]
     nearest = min(candidates, key=lambda each: abs(each - mean))
     return nearest if abs(nearest - mean) <= share * mean else mean
@@ -418,7 +418,7 @@ def _round_time(mean: float, share: float) -> float:
 def _chosen(
     path: Path, mapping: ImportMapping, pieces: list[ClockPiece], time: FloatArray, start: int
 ) -> tuple[ClockPiece, tuple[str, ...]]:
-    """Return the piece that the mapping names, else the longest, with remarks on gaps and pieces."""
+    """Return the piece selected by the mapping, else the longest piece, with remarks on gaps."""
     if mapping.piece is not None and mapping.piece > len(pieces):
         raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(pieces)} without gap")
     piece = pieces[mapping.piece - 1] if mapping.piece else max(pieces, key=lambda each: len(each.rows))
@@ -435,7 +435,7 @@ def _chosen(
 
 
 def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> float:
-    """Return the sample time [s] of an import without time column: that of the mapping, or as the file states it.
+    """Return the sample time [s] of an import without time column, from the mapping or the file.
 
     Raises
     ------
@@ -473,7 +473,7 @@ _DAYS = ((2e4, 8e4), (7e5, 8e5))  # days since 1900 of spreadsheets, and since t
 def times_of(
     path: Path, mapping: ImportMapping, name: str, columns: Mapping[str, FileColumn]
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the values of the time column [s], and a remark where their unit is a guess that may be wrong.
+    """Return the values of the time column [s], with a remark if their unit is guessed.
 
     A unit that neither file nor mapping gives is the second, unless the numbers are those of dates.
 
@@ -502,7 +502,7 @@ def times_of(
 
 
 def _unit_of_dates(path: Path, what: str, column: FileColumn) -> str:
-    """Return the unit of times whose unit is not given: seconds, unless the numbers are those of dates."""
+    """Return the unit of times without a stated unit: seconds, unless the numbers look like dates."""
     first, step = float(column.values[0]), float(np.median(np.diff(column.values))) if len(column.values) > 1 else 1.0
     for low, high, unit in _SINCE_1970:
         if low <= first < high:

@@ -1,4 +1,4 @@
-"""Columns of a file: their values, their units as file and mapping say them, and their names."""
+"""Columns of a file: values, units (stated by file or mapping), and names."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from gbid.core.units import conversion_factor, is_ambiguous, is_speed_unit, is_u
 
 
 def written_unit(word: str) -> str:
-    """Return a unit that a file states without blanks around it; turns a minute in all spellings are ``rpm``."""
+    """Return a stated unit without blanks around it; all spellings of revolutions per minute become ``rpm``."""
     return "rpm" if is_speed_unit(word) else "" if word.strip() == "-" else word.strip()
 
 
 def is_file_unit(cell: str) -> bool:
-    """Return whether a cell of a file may be a unit, alone or in brackets."""
+    """Return whether a cell may be a unit, with or without brackets."""
     return is_unit(written_unit(cell.strip().strip("[]()")))
 
 
 def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
-    """Return the unit of the numbers in the file; None when neither file nor mapping gives one.
+    """Return the unit of the numbers in a column; None if neither file nor mapping states a unit.
 
     The mapping wins over a word of the file that is no unit, or is one of several.
 
@@ -49,7 +49,7 @@ def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> s
 
 
 def unit_factor(path: Path, what: str, unit: str, target: str) -> float:
-    """Return the factor from one unit to another.
+    """Return the conversion factor from one unit to another.
 
     Raises
     ------
@@ -67,7 +67,7 @@ _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>
 
 
 class FileColumn(NamedTuple):
-    """One column of a file.
+    """One column of a file, with unit and clock.
 
     Attributes
     ----------
@@ -100,13 +100,13 @@ class FileColumn(NamedTuple):
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
-    """Return the name and the column index of a reference like ``"noise[3]"``; without brackets the index is None."""
+    """Return name and column index of a reference like ``"noise[3]"``; the index is None without brackets."""
     match = _INDEXED.fullmatch(reference)
     return (match["name"], int(match["index"])) if match else (reference, None)
 
 
 def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_part: bool = False) -> FloatArray:
-    """Return the column of a variable that a reference names, shape (n_samples,).
+    """Return the column of a variable selected by a reference, shape (n_samples,).
 
     Parameters
     ----------
@@ -165,12 +165,12 @@ _CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
 
 
 def words_of(name: str) -> list[str]:
-    """Return the words and numbers of the name of a column, in small letters."""
+    """Return the words and numbers in a column name, in lower case."""
     return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
 
 
 def name_and_unit(heading: str) -> tuple[str, str | None]:
-    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; without brackets the unit is None."""
+    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; the unit is None without brackets."""
     match = _NAME_UNIT.fullmatch(heading)
     if not match:
         return heading, None
@@ -178,7 +178,7 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
 
 
 def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
-    """Return the headings; those that occur several times are named ``Time #1``, ``Time #2``, without their unit."""
+    """Return the headings; repeated ones become ``Time #1``, ``Time #2``, without their unit."""
     count, seen = Counter(headings), Counter[str]()
     names = []
     for heading in headings:
@@ -189,14 +189,14 @@ def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
 
 
 def short_names(headings: Sequence[str]) -> list[str]:
-    """Return the headings without their units, except where several columns would have one name."""
+    """Return the headings without units, unless several columns would get one name."""
     names = [name_and_unit(heading)[0] for heading in headings]
     count = Counter(names)
     return [name if count[name] == 1 else heading for name, heading in zip(names, headings, strict=True)]
 
 
 def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
-    """Return the index of a column, named by its whole heading or by its name without unit.
+    """Return the index of a column, given by its full heading or by its name without unit.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
 
 
 def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
-    """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds from the first."""
+    """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds since the first."""
     if times.dtype.kind == "M":
         known = times[~np.isnat(times)]
         times = times - (known[0] if known.size else np.datetime64(0, "s"))
@@ -224,6 +224,6 @@ def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
 
 
 def twin_name(heading: str) -> str:
-    """Return the name of a column of which there are several; empty for others."""
+    """Return the name in a numbered heading such as ``Time #2``; empty for other headings."""
     match = re.fullmatch(r"(.+) #\d+", heading)
     return match[1] if match else ""

@@ -1,4 +1,4 @@
-"""Formats of files that recordings are imported from: a `FileFormat` for each.
+"""File formats for the import of recordings: a `FileFormat` for each.
 
 A format is one constant of this file. The import, the check of an experiment, the patterns of a folder and the messages
 find it by `file_formats`.
@@ -48,13 +48,13 @@ from gbid.recording.universal import open_universal, read_responses
 
 
 def format_of(path: Path) -> FileFormat | None:
-    """Return the format of a file by its ending; that of tables in text for another one, unless it is not text."""
+    """Return the format for a file's ending; for an unknown ending the text format, if the file is text."""
     known = format_of_ending(path.suffix.lower())
     return CSV if known is None and (not path.is_file() or holds_text(path)) else known
 
 
 def format_of_ending(ending: str) -> FileFormat | None:
-    """Return the format of a file ending (``.mat``): one of gbid, else one that another package offers.
+    """Return the format for a file ending (``.mat``): from gbid, else from another package.
 
     A package offers a format by an entry point of the group ``gbid.formats``, whose name is the ending without the dot
     and whose value is a `FileFormat`.
@@ -80,7 +80,7 @@ def _offered_format(ending: str) -> FileFormat | None:
 
 @cache
 def file_formats() -> Mapping[str, FileFormat]:
-    """Return the formats of this file by file ending."""
+    """Return the formats defined in this module, by file ending."""
     formats = [value for value in globals().values() if isinstance(value, FileFormat)]
     return MappingProxyType({ending: each for each in formats for ending in each.endings})
 
@@ -110,7 +110,7 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         schema = file.schema_arrow if is_parquet else ipc.open_file(file).schema
 
         def read(index: int, part: FilePart) -> tuple[Any, int, int | None]:
-            """Return the values, the number of all, and that of the first one; no other pieces are kept."""
+            """Return values, their total number, and the first index; only the needed pieces stay in memory."""
             rows, first = rows_of(ALL if part.axis else part)  # channels as rows are read as a whole
             if not is_parquet:
                 pieces, total = _feather_rows(ipc, file, index, rows)
@@ -146,7 +146,7 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
 
 def _feather_rows(ipc: Any, file: Any, index: int, rows: slice) -> tuple[list[Any], int]:
-    """Return rows of a column of a Feather file, and the number of all; the pieces of the file are read one by one."""
+    """Return rows of a Feather column and the total number of rows; the file is read piece by piece."""
     reader = ipc.open_file(file, options=ipc.IpcReadOptions(included_fields=[index]))
     kept, total = [], 0
     for i in range(reader.num_record_batches):
@@ -171,7 +171,7 @@ SHOWN_FIRST = 200
 def read_csv(
     path: Path, references: Sequence[str], options: TextOptions | None = None, part: FilePart | None = None
 ) -> dict[str, FileColumn]:
-    """Return the named columns of a csv file.
+    """Return named columns of a csv file.
 
     Encoding, delimiter, decimal sign and the lines of names and units are found in the file, or given. A cell such as
     ``u_x [um]`` or ``u_x (um)`` gives name and unit. A column can be named with or without its unit.
@@ -189,7 +189,7 @@ def read_csv(
 
 
 def _complete_table(path: Path, options: TextOptions | None, *, ends: bool = False) -> TextTable:
-    """Return the table without a last row that may have been cut; of a large file the ends if asked for."""
+    """Return a table without an incomplete last row; `ends` reads only the ends of a large file."""
     table = read_table(path, options, ends=ends)
     return replace(table, rows=table.rows[:-1]) if table.is_cut else table
 
@@ -197,7 +197,7 @@ def _complete_table(path: Path, options: TextOptions | None, *, ends: bool = Fal
 def peek_csv(
     path: Path, references: Sequence[str], options: TextOptions | None = None
 ) -> tuple[int, dict[str, FileColumn]]:
-    """Return the number of rows of a csv file, and its columns in the first rows and the last one only.
+    """Return the number of rows of a csv file, and the first rows and last row of its columns.
 
     Returns
     -------
@@ -219,7 +219,7 @@ def peek_csv(
 
 
 def csv_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
-    """Return the columns of a csv file, with their units and first numbers; of a large file the first rows are judged.
+    """Return the columns of a csv file with units and first numbers; of a large file only the first rows are read.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def csv_channels(path: Path, options: TextOptions | None = None) -> list[FileCha
 
 
 def _listed_csv(table: TextTable) -> list[FloatArray | None]:
-    """Return each column as numbers; None where not all cells are numbers."""
+    """Return each column as numbers; None for a column with other cells."""
     try:
         return list(table.columns(range(len(table.headings))).T)
     except DataError:
@@ -252,7 +252,7 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
 
 
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
-    """Return encoding, delimiter, decimal sign and header of a csv file, as plain values."""
+    """Return encoding, delimiter, decimal sign and header lines of a csv file, as plain values."""
     table = read_table(path, options, ends=True)
     return {**table.layout.stated(), **({"last_line": CUT} if table.is_cut else {})}
 
@@ -269,7 +269,7 @@ def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColum
 
 
 def _with_times(column: FileColumn, table: TextTable, index: int) -> FileColumn:
-    """Return a column with the clock of its time column, where the table has several of different times."""
+    """Return a column with the clock of its time column, in a table with several different time columns."""
     if not table.clocks:
         return column
     clock = max((i for i in table.clocks if i <= index), default=min(table.clocks))
@@ -309,7 +309,7 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             raise DataError(f"{path}: no dataset {name!r}; {nearest(name, [known for known, _ in every()])}")
 
         def every() -> Iterator[tuple[str, StoredReader]]:
-            """Yield the path of each dataset, or of each field of a table, and what reads it."""
+            """Yield the path of each dataset or table field, with a function that reads it."""
             for name, dataset in file.datasets():
                 if isinstance(dataset, DataError):
                     yield name, partial(_fail, dataset)
@@ -328,7 +328,7 @@ def _fail(error: Exception) -> StoredArray:
 
 
 def _stored_hdf5(dataset: Any, field: str | None, part: FilePart = ALL) -> StoredArray:
-    """Return a dataset, or one field of a table, with its unit; a table has a unit for each field, or none."""
+    """Return a dataset or table field with its unit; tables may state a unit for each field."""
     keys = _UNIT_ATTRIBUTES if field is None else (f"{field}_units", f"{field}_unit")
     stated = (dataset.attrs.get(key) for key in keys)
     unit = next((each for each in stated if isinstance(each, str | bytes)), None)
@@ -347,7 +347,7 @@ _OFFSETS = ("add_offset", "offset", "intercept")
 
 
 def _unscaled_hdf5(dataset: Any) -> str:
-    """Return the scale that a dataset states, in words; empty where it is 1 with offset 0, or none."""
+    """Return as text a scale stated by a dataset and not applied; empty for none, or factor 1 and offset 0."""
     for neutral, keys in ((1, _FACTORS), (0, _OFFSETS)):
         for key in (spelled for each in keys for spelled in (each, each.capitalize(), each.upper())):
             value = np.asarray(dataset.attrs.get(key, neutral))  # to iterate fails where storage is external
@@ -367,7 +367,7 @@ SAVE_PLAIN = "save plain arrays in MATLAB: u = data.u; y = data.y; save('plain.m
 
 
 class MatObject(Mapping[str, Any]):
-    """A MATLAB object: its properties by name, and its class.
+    """MATLAB object: properties by name, and class name.
 
     MATLAB stores some properties under a name with an underscore at its end (`Data_` of a `timeseries`, `InputData_`).
     They are found by the name that MATLAB shows, too.
@@ -395,7 +395,7 @@ class MatObject(Mapping[str, Any]):
 
 
 def matlab_value(value: Any, inside: Any = None) -> Any:
-    """Return a struct, an object or a table as a mapping, times as seconds, and anything else as it is.
+    """Return a struct, object or table as a mapping, times in seconds, and other values unchanged.
 
     Parameters
     ----------
@@ -427,13 +427,13 @@ def matlab_value(value: Any, inside: Any = None) -> Any:
 
 
 def class_of(value: Any) -> str:
-    """Return the MATLAB class of an object, with the word for it; empty for arrays, structs and cells."""
+    """Return the MATLAB class of an object as text for messages; empty for arrays, structs and cells."""
     kind = value.kind if isinstance(value, MatObject) else getattr(value, "classname", None)
     return f"{kind} object" if kind else ""
 
 
 def _timed(series: MatObject) -> MatObject:
-    """Add the times of a `timeseries` that stores them as start and increment."""
+    """Return a `timeseries` with its times, computed from start and increment if necessary."""
     if series.kind != "timeseries" or ("Time" in series and np.size(series["Time"])) or "TimeInfo" not in series:
         return series
     info = matlab_value(series["TimeInfo"])
@@ -450,7 +450,7 @@ def _timed(series: MatObject) -> MatObject:
 
 
 def _matlab_table(frame: Any) -> tuple[str, dict[str, Any]]:
-    """Return class and variables of a table; the times of a timetable are seconds."""
+    """Return class and variables of a MATLAB table; times of a timetable are in seconds."""
     fields = {str(name): frame[name].to_numpy()[:, None] for name in frame.columns}
     if frame.index.dtype.kind not in "mM":
         return "table", fields
@@ -462,7 +462,7 @@ _DEPTH = 5  # of nested structs that are listed
 
 @contextmanager
 def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with a MATLAB file of any version.
+    """Return a context with an open MATLAB file of any version.
 
     Arrays have the shape that MATLAB shows, also those of v7.3 files, which store them transposed; a row is a vector.
     Fields of structs, properties of objects (`timeseries`, `iddata`, classes of one's own) and variables of tables have
@@ -522,7 +522,7 @@ _NUMBERS = {f"{kind}{bits}".encode() for kind in ("int", "uint") for bits in (8,
 
 
 def _rows_of_mat73(path: Path, name: str, part: FilePart) -> StoredArray | None:
-    """Return samples of a matrix, or of one in a struct, of a v7.3 file; None of anything else, which is loaded."""
+    """Return selected samples of a matrix in a v7.3 file; None for other variables, which are loaded whole."""
     if not h5py.is_hdf5(path):
         return None
     with linked(path, alone=True) as file:
@@ -543,7 +543,7 @@ def _is_iddata(value: Any) -> TypeGuard[MatObject]:
 
 
 def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
-    """Return the channels of an `iddata` object by name, ``force``, of several experiments ``Exp2.force``."""
+    """Return the channels of an `iddata` object by name: ``force``, or ``Exp2.force`` with several experiments."""
     experiments, channels = experiments_of(value, where), dict[str, StoredArray]()
     for each in experiments:
         prefix = f"{each.name}." if len(experiments) > 1 else ""
@@ -555,7 +555,7 @@ def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
 
 
 def iddata_in(path: Path, variable: str | None = None) -> list[IddataExperiment]:
-    """Return the experiments of the `iddata` object in a MATLAB file, of the one named where there are several.
+    """Return the experiments of an `iddata` object in a MATLAB file; `variable` chooses among several objects.
 
     Raises
     ------
@@ -609,7 +609,7 @@ def _field(struct: Any, field: str, where: str) -> Any:
 
 
 def _load(path: Path, roots: set[str] | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the variables (all, when no roots are given), and the classes of all variables by name."""
+    """Return variables (all if no roots are given), and the classes of all variables by name."""
     classes: dict[str, str] = {}
     if h5py.is_hdf5(path):
         refuse_links(path)
@@ -637,7 +637,7 @@ MATLAB = array_format((".mat",), "MATLAB file", open_mat, states_sample_time=Tru
 
 @contextmanager
 def open_mdf(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with an MDF file, whose channels have physical values.
+    """Return a context with an open MDF file; channels have physical values.
 
     A channel is named ``group/channel``, where the group is its number from 0 or its acquisition name, or by its own
     name where only one group has it.
@@ -688,7 +688,7 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
 
 
 def _close_half_opened(error: Exception) -> None:
-    """Close readers that failed on opening: their finalizer fails otherwise, and prints that on standard error.
+    """Close readers whose opening failed, so that their finalizers print no further error.
 
     They are in the frames of the error only.
     """
@@ -703,7 +703,7 @@ def _close_half_opened(error: Exception) -> None:
 
 
 def _places(file: Any) -> dict[str, list[tuple[int, int]]]:
-    """Return the places (group, channel) of each name: its name, then with the group's name, then with its number."""
+    """Return the positions (group, channel) of each channel name, also with group name or group number."""
     named: dict[str, list[tuple[int, int]]] = {}
     by_group: dict[str, list[tuple[int, int]]] = {}
     for g, group in enumerate(file.groups):
@@ -724,7 +724,7 @@ MDF = array_format((".mf4", ".mdf"), "MDF file", open_mdf, states_sample_time=Tr
 
 @contextmanager
 def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with an npz archive; pickled objects are never loaded."""
+    """Return a context with an npz archive; pickled objects are refused."""
     with path.open("rb") as handle, np.lib.npyio.NpzFile(handle, allow_pickle=False) as archive:
         if twice := [name for name, count in Counter(archive.files).items() if count > 1]:
             raise DataError(f"{path}: holds variable {twice[0]!r} more than once; save it again with each name once")
@@ -749,7 +749,7 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
 
 def _mapped_member(archive: Any, name: str) -> Any:
-    """Return an array of an archive where it stands in the file, mapped into memory; None of a compressed one."""
+    """Return an array of an archive mapped into memory; None if it is compressed."""
     info, handle = archive.zip.getinfo(f"{name}.npy"), archive.zip.fp
     if info.compress_type:
         return None
@@ -773,7 +773,7 @@ _TDMS_UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 
 @contextmanager
 def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with a TDMS file, whose channels are scaled.
+    """Return a context with a TDMS file; channels are scaled.
 
     A channel is named ``group/channel``, or by its own name where only one group has it.
     """
@@ -803,7 +803,7 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
 
 def _stored_tdms(channel: Any, part: FilePart = ALL) -> StoredArray:
-    """Return the values of a channel with its unit, and its increment as sample time; without time it is 0 or none.
+    """Return a channel's values with unit, and its increment as sample time (none for an untimed channel).
 
     The first sample was taken `wf_start_offset` after `wf_start_time`.
     """
@@ -829,7 +829,7 @@ _TDMS_SCALES = (
 
 
 def _unscaled_tdms(levels: Iterable[Mapping[str, Any]]) -> str:
-    """Return a scale that nptdms leaves out, in words, of the properties of channel, group and file; empty for none."""
+    """Return as text a scale in the properties that nptdms does not apply; empty for none."""
     for properties in levels:
         kinds = [str(value) for key, value in properties.items() if _TDMS_SCALE.fullmatch(key)]
         unknown = [kind for kind in kinds if kind not in _TDMS_SCALES]
@@ -846,7 +846,7 @@ TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)
 
 @contextmanager
 def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with a WAV file, whose array `data` (n_samples, n_channels) is in parts of the full scale.
+    """Return a context with a WAV file; its array `data` (n_samples, n_channels) is relative to full scale.
 
     Whole numbers are divided by their full scale (of 24 bits, which are read as 32, too); floating-point numbers stay.
     """

@@ -1,4 +1,4 @@
-"""HDF5 files with what they take from other files: external links, external storage and virtual datasets.
+"""HDF5 files with data in other files: external links, external storage and virtual datasets.
 
 HDF5 follows a link wherever it leads, looks for its file in the current folder, too, and reads zeros where a file is
 missing or too short. Here gbid resolves each step of a path: other files lie in the folder of the first one or below
@@ -41,7 +41,7 @@ class ObjectInFile(NamedTuple):
 
 
 class LinkedFile:
-    """Open HDF5 file, with the other files of its folder from which it takes data.
+    """Open HDF5 file together with the linked files of its folder.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class LinkedFile:
         self.used: dict[Path, None] = {}
 
     def dataset(self, name: str) -> h5py.Dataset | None:
-        """Return the dataset at a path; None where there is none.
+        """Return the dataset at a path; None if there is no dataset.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class LinkedFile:
         return None if place is None else self._dataset(place, name)
 
     def datasets(self) -> Iterator[tuple[str, h5py.Dataset | DataError]]:
-        """Yield each dataset once, with its path; in its place the error where it cannot be had."""
+        """Yield each dataset once, with its path; an unreadable dataset is replaced by its error."""
         todo, seen = [(b"", self._root, b"")], set[tuple[int, int]]()
         while todo:
             way, group, part = todo.pop()
@@ -107,7 +107,7 @@ class LinkedFile:
         return self._roots[path]
 
     def _find(self, start: ObjectInFile, way: bytes) -> ObjectInFile | None:
-        """Return the object at a path from a group; None where there is none."""
+        """Return the object at a path below a group; None if it does not exist."""
         place, todo, links = start, way.split(b"/")[::-1], 0
         while todo:
             part = todo.pop()
@@ -136,7 +136,7 @@ class LinkedFile:
 
     @staticmethod
     def _child(place: ObjectInFile, part: bytes) -> ObjectInFile:
-        """Return the object of a hard link; external storage is named from the folder of its file."""
+        """Return the object of a hard link; paths of external storage are relative to its file's folder."""
         item = h5py.h5o.open(place.item, part)
         if isinstance(item, h5py.h5d.DatasetID) and item.get_create_plist().get_external_count():
             del item  # it would keep the current folder
@@ -146,7 +146,7 @@ class LinkedFile:
         return ObjectInFile(place.file, item)
 
     def _beside(self, file: Path, name: bytes | str, what: str) -> Path:
-        """Return the file that another one names, once it is sure that it lies in the folder."""
+        """Return the path of a linked file, after a check that it lies in the folder."""
         text = name if isinstance(name, str) else name.decode("utf-8", "surrogateescape")
         shown = f"{what} takes its data from the file {text.encode('utf-8', 'replace').decode()!r}"
         if self._folder is None:
@@ -165,7 +165,7 @@ class LinkedFile:
         return other
 
     def _check_storage(self, place: ObjectInFile, name: str, depth: int = 0) -> None:
-        """Refuse a dataset whose numbers are not all in files of the folder."""
+        """Refuse a dataset with data outside the folder."""
         made = place.item.get_create_plist()
         if not made.get_external_count() and made.get_layout() != h5py.h5d.VIRTUAL:
             return
@@ -214,13 +214,13 @@ def _bytes(name: str) -> bytes:
 
 @contextmanager
 def linked(path: Path, *, alone: bool = False) -> Iterator[LinkedFile]:
-    """Return a context with an HDF5 file and those that it takes data from; `alone` refuses all others."""
+    """Return a context with an HDF5 file and its linked files; `alone` refuses linked files."""
     with ExitStack() as stack:
         yield LinkedFile(path, stack, alone=alone)
 
 
 def linked_files(path: Path) -> list[Path]:
-    """Return the other files from which an HDF5 file takes data, without those that are refused."""
+    """Return the files that an HDF5 file links to, without refused files."""
     if not h5py.is_hdf5(path):
         return []
     with linked(path) as file:
@@ -230,7 +230,7 @@ def linked_files(path: Path) -> list[Path]:
 
 
 def refuse_links(path: Path) -> None:
-    """Refuse a file of which an entry takes its data from another file.
+    """Refuse a file with an entry whose data are in another file.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def refuse_links(path: Path) -> None:
 
 
 def files_beside(path: Path) -> list[str]:
-    """Return the other files from which a file takes data; none for other formats, and for a damaged file.
+    """Return the files that a file links to; none for other formats and damaged files.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Experiments of an `iddata` object of MATLAB: signals, sample time, names and units."""
+"""Experiments in MATLAB `iddata` objects: signals, sample time, names and units."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _SECONDS = {
 
 
 class IddataChannel(NamedTuple):
-    """One input or output of an experiment: its samples (n_samples,), and its unit, which may be empty."""
+    """One input or output of an experiment: samples (n_samples,) and unit, which may be empty."""
 
     values: FloatArray
     unit: str
 
 
 class IddataExperiment(NamedTuple):
-    """One experiment.
+    """One experiment of an `iddata` object.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class IddataExperiment(NamedTuple):
 
 
 def experiments_of(data: Mapping[str, Any], where: str) -> list[IddataExperiment]:
-    """Return the experiments of an object, whose properties are given by name.
+    """Return the experiments of an `iddata` object, given by its properties.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def experiments_of(data: Mapping[str, Any], where: str) -> list[IddataExperiment
 
 
 def _name(text: str, instead: str) -> str:
-    """Return a name without the signs that separate parts of a name."""
+    """Return a name without characters that separate parts of a name."""
     clean = text.strip().translate(str.maketrans("./[]", "____"))
     return f"{clean}_" if clean == "time" else clean or instead
 
@@ -113,7 +113,7 @@ def _channels(data: Mapping[str, Any], side: str, letter: str, values: FloatArra
 
 
 def _arrays(data: Mapping[str, Any], key: str, count: int = 1) -> list[FloatArray]:
-    """Return the entries of a property, one for each experiment: those of a cell, or parts of a vector of numbers."""
+    """Return the entries of a property for each experiment: from a cell array, or from a vector of numbers."""
     value = data.get(key)
     if value is None:
         return []

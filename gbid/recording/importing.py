@@ -1,4 +1,4 @@
-"""Import of a file of another program as a Recording."""
+"""Import of files of other programs as recordings, and inspection of such files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OF_TEXT = ("read", "channels", "peek", "layout")  # functions of a format that 
 
 
 def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
-    """Return a recording read from a file of another program: csv, npz, mat, HDF5, TDMS, MDF, Parquet or Feather.
+    """Return a recording imported from a file: csv, npz, mat, HDF5, TDMS, MDF, Parquet or Feather.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
 
 
 def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording]:
-    """Return the experiments of an `iddata` object in a MATLAB file, with its sample time, names and units.
+    """Return the experiments of a MATLAB `iddata` object, with sample time, names and units.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
 
 
 def _whole(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> dict[str, FileColumn]:
-    """Return the columns, of which all samples are read again where clocks differ: they are cut by their times."""
+    """Return columns, read again in full if their clocks differ: they are cut by time."""
     if has_one_clock(columns) or all(column.first is None for column in columns.values()):
         return columns
     reader = file_format(path, mapping.text_options, FilePart(mapping.axis)).read
@@ -187,7 +187,7 @@ def _whole(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -
 
 
 def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:
-    """Return the number of rows of a file, and the numbers of the first and the last one: they show a cut file."""
+    """Return a text on the number of rows and the first and last numbers, which show an incomplete file."""
     shown = list(columns.items())[:_SHOWN]
     more = ", ..." if len(columns) > _SHOWN else ""
     first, last = (", ".join(f"{name} = {c.values[k]:g}" for name, c in shown) + more for k in (0, -1))
@@ -202,7 +202,7 @@ _SHOWN = 3  # columns of these rows
 
 
 def file_format(path: Path, options: TextOptions | None = None, part: FilePart | None = None) -> FileFormat:
-    """Return the format of a file, chosen by its ending, whose functions run in the process for readers.
+    """Return the format for a file's ending, with functions that run in the reader process.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def file_format(path: Path, options: TextOptions | None = None, part: FilePart |
 
 
 def in_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, dict[str, FileColumn]]:
-    """Return the first sample of an import, and the columns from it on; check that all have the same length.
+    """Return the first imported sample, and the columns from it on; columns must have equal lengths.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def in_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn])
 
 
 def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], n: int) -> tuple[int, int | None]:
-    """Return the first sample at or after from_s, and the first one at or after to_s."""
+    """Return the first sample at or after `from_s`, and the first sample at or after `to_s`."""
     if mapping.from_s is None and mapping.to_s is None:
         return 0, None
     if mapping.time is None:
@@ -285,7 +285,7 @@ def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColum
 
 
 def check_finite(path: Path, columns: dict[str, FileColumn], start: int, *, time: str | None) -> None:
-    """Refuse infinite values, and times that are missing; `start` is the number of the first sample."""
+    """Refuse infinite values and missing times; `start` is the index of the first sample."""
     for name, (values, *_) in columns.items():
         bad = np.flatnonzero(~np.isfinite(values) if name == time else np.isinf(values))
         if bad.size:
@@ -296,7 +296,7 @@ def check_finite(path: Path, columns: dict[str, FileColumn], start: int, *, time
 
 
 def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, FileColumn]) -> tuple[FloatArray, str]:
-    """Return the values (n_samples, n_channels) of a signal in the unit to be stored, and that unit."""
+    """Return the values (n_samples, n_channels) of a signal in the stored unit, and this unit."""
     known = SIGNALS.get(name)
     stored = known.unit if known and signal.stored_unit is None else signal.stored_unit
     units = {}
@@ -330,7 +330,7 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
 
 
 def _calibration_in_words(name: str, signal: SignalMapping, columns: Mapping[str, FileColumn]) -> list[str]:
-    """Return how the columns of a signal were calibrated, and where numbers lie beyond a calibration sheet."""
+    """Return a text on the calibration of a signal's columns, and on numbers beyond a calibration table."""
     said = []
     for column, calibration in zip(signal.columns, signal.calibrations, strict=True):
         if calibration is None:
@@ -343,7 +343,7 @@ def _calibration_in_words(name: str, signal: SignalMapping, columns: Mapping[str
 
 
 def _another(name: str, unit: str) -> str:
-    """Return advice for a signal with a name of the rig whose unit is of another quantity."""
+    """Return advice for a signal with a known name but a unit of another quantity."""
     known = SIGNALS[name]
     return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
 
@@ -355,7 +355,7 @@ _ALIKE = 2e-3  # largest relative difference between the mean step and that of t
 
 @dataclass(frozen=True)
 class Peek:
-    """Number of samples and sample time of a file.
+    """Number of samples and sample time of a file, before its import.
 
     Attributes
     ----------
@@ -373,7 +373,7 @@ class Peek:
 
 
 def list_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
-    """Return all channels of a file of another program, with their names, lengths, units and sample times.
+    """Return all channels of a file, with names, lengths, units and sample times.
 
     Parameters
     ----------
@@ -402,7 +402,7 @@ def list_channels(path: Path, options: TextOptions | None = None) -> list[FileCh
 
 
 def read_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
-    """Return the layout of a text file as it is given or found: encoding, delimiter, decimal sign and lines.
+    """Return the layout of a text file, given or detected: encoding, delimiter, decimal sign and lines.
 
     Returns
     -------
@@ -419,7 +419,7 @@ def read_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any
 
 
 def peek(path: Path, mapping: ImportMapping) -> Peek:
-    """Return the length and sample time of a file that is to be imported, without importing it.
+    """Return the length and sample time of a file without importing it.
 
     Of a csv file the header, the first rows and the last one are read, unless they show a gap of the clock. Of other
     files the columns are read.
@@ -460,7 +460,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
 
 
 def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:
-    """Return length and sample time by the first rows and the last one; None where there may be gaps or clocks."""
+    """Return length and sample time from the first rows and the last row; None if gaps are possible."""
     if any(column.clock is not None for column in columns.values()):
         return None
     if mapping.time is None:

@@ -1,4 +1,4 @@
-"""Import mapping: column, unit and sample time of each signal in a file."""
+"""Import mapping: columns, units and sample time of each signal, and layout of the file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DECIMALS = (".", ",")
 
 @dataclass(frozen=True)
 class TextOptions:
-    r"""Layout of a text file, as far as a user gives it.
+    r"""Layout of a text file; missing options are detected.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ class TextOptions:
             raise UsageError(f"delimiter = {self.delimiter!r}; give one character such as ';'", "delimiter")
 
     def given(self) -> list[str]:
-        """Return the names of the options that are given."""
+        """Return the names of the given options."""
         return [each.name for each in fields(self) if getattr(self, each.name) is not None]
 
 
 class FilePart(NamedTuple):
-    """What is read of the arrays of a file.
+    """Selected axis and samples of the arrays in a file.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class FilePart(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of a column: values in the unit of its signal, from the numbers in the file.
+    """Calibration of a column: conversion of numbers to values in the signal's unit.
 
     Parameters
     ----------
@@ -112,13 +112,13 @@ class Calibration:
         return np.asarray(y[k] + slopes[k] * (numbers - x[k]))
 
     def beyond(self, numbers: FloatArray) -> int:
-        """Return how many numbers lie beyond the points."""
+        """Return how many numbers lie outside the calibration points."""
         return int(np.sum((numbers < self.points[0][0]) | (numbers > self.points[-1][0])))
 
 
 @dataclass(frozen=True)
 class SignalMapping:
-    """Columns of a file that make up one signal of a recording.
+    """Columns of a file that form one signal of a recording.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class SignalMapping:
 
     @property
     def calibrations(self) -> tuple[Calibration | None, ...]:
-        """Calibration of each column; None where the numbers are taken as they are."""
+        """Calibration of each column; None for a column without calibration."""
         given = [key for key in ("scale", "offset", "calibration") if getattr(self, key) is not None]
         if not given:
             return (None,) * len(self.columns)
@@ -194,7 +194,7 @@ class SignalMapping:
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
-        """Return the mapping given by a plain dict with the same keys; an unknown key raises UsageError.
+        """Return the mapping from a plain dict with equal keys; an unknown key raises UsageError.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class SignalMapping:
 
 @dataclass(frozen=True)
 class ImportMapping:
-    """Mapping from the columns of a file to the signals of a recording, for `import_recording`.
+    """Mapping from columns of a file to signals of a recording, for `import_recording`.
 
     Parameters
     ----------
@@ -288,18 +288,18 @@ class ImportMapping:
 
     @property
     def text_options(self) -> TextOptions:
-        """Layout of a text file, as far as it is given."""
+        """Layout of a text file, as far as the mapping states it."""
         return TextOptions(self.encoding, self.decimal, self.delimiter, self.header_line)
 
     @property
     def part(self) -> FilePart:
-        """What is read of the arrays of the file."""
+        """Selected axis and samples of the arrays in the file."""
         start, stop = self.samples or (0, None)
         return FilePart(self.axis, None if stop is None else (start, stop))
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:
-        """Return the mapping given by a plain dict, as in an experiment YAML.
+        """Return the mapping from a plain dict, as in an experiment YAML.
 
         Parameters
         ----------
@@ -323,7 +323,7 @@ class ImportMapping:
         return cls(**entries)
 
     def all_columns(self) -> list[str]:
-        """Return the names of all columns, each once, with the time column first."""
+        """Return the names of all columns without repetition, the time column first."""
         named = [column for signal in self.signals.values() for column in signal.columns]
         return list(dict.fromkeys([*([self.time] if self.time else []), *named]))
 
@@ -343,7 +343,7 @@ def _signals(signals: object) -> dict[str, SignalMapping]:
 
 
 def _calibrations(value: Any) -> Any:
-    """Return calibrations given by plain dicts as values, and other types as they are."""
+    """Return calibrations in plain dicts as `Calibration`; other values are unchanged."""
     if isinstance(value, Mapping):
         _check_keys(value, ["points"], needed=["points"])
         points = value["points"]
@@ -353,7 +353,7 @@ def _calibrations(value: Any) -> Any:
 
 
 def _each(key: str, value: Any, count: int) -> tuple[Any, ...]:
-    """Return one value for each column."""
+    """Return a value for each column, from one value or from a list."""
     values = tuple(value) if isinstance(value, list | tuple) else (value,) * count
     if len(values) != count:
         raise UsageError(f"{key}: {len(values)} for {count} columns; give one for all columns, or one for each")

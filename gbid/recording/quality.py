@@ -80,7 +80,7 @@ _MOVES = 1e-3  # of the largest standard deviation of the inputs
 
 
 class _Response(NamedTuple):
-    """Response of the outputs to the inputs, over the band of the inputs."""
+    """Response of outputs to inputs, averaged over the excited band."""
 
     gain: FloatArray  # rms of |H|, weighted by input power, (n_outputs, n_inputs); NaN for inputs that do not move
     coherence: FloatArray  # median of the multiple coherence, (n_outputs,)
@@ -111,7 +111,7 @@ def find_response_problems(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def _swapped(rec: Recording, chain: list[str], swapped: list[str]) -> SignalProblem:
-    """Return the problem, with the signal whose channels are swapped as far as the other signals show it."""
+    """Return the problem of swapped channels, naming the signal that the other signals indicate."""
     source, followers = chain[0], chain[1:]
     if swapped != followers:
         name, which, other = swapped[0], f"signal {swapped[0]!r}", source
@@ -152,7 +152,7 @@ def _crossed(response: _Response) -> bool:
 
 
 def _response(inputs: FloatArray, outputs: FloatArray) -> _Response | None:
-    """Return estimated gain and coherence, or None when no input moves or the recording is too short."""
+    """Return estimated gain and coherence; None if no input moves or the recording is too short."""
     n_segments = int(np.clip(len(inputs) // GOOD_SEGMENT, *SEGMENTS))
     std = inputs.std(axis=0)
     if len(inputs) < n_segments * MIN_SEGMENT or std.max() == 0:
@@ -178,7 +178,7 @@ def _response(inputs: FloatArray, outputs: FloatArray) -> _Response | None:
 
 
 def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:
-    """Remove the part that follows the shaft angle; in short recordings it leaks into the band of the excitation."""
+    """Remove the part that follows the shaft angle, which leaks into the excited band of short recordings."""
     if "phi" not in rec.signals:
         return values
     phi = rec.signal("phi")[:, 0]
@@ -201,7 +201,7 @@ def _spectra(values: FloatArray, n_segments: int) -> FloatArray:
 
 
 def find_early_answers(rec: Recording) -> Iterator[SignalProblem]:
-    """Return signals of the chain r, u, p that answer more than a sample before the steps of what drives them.
+    """Return signals of the chain r, u, p that respond more than a sample before steps of their source.
 
     Channels with clocks of their own, or a wrong start of one, make such a recording. An excitation w that is recorded
     stands for r, which follows p in a loop.
@@ -302,7 +302,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def _unexplained(rec: Recording, p: FloatArray, half: int) -> tuple[npt.NDArray[np.int_], FloatArray, FloatArray]:
-    """Return samples, the changes of velocity that the equation of motion leaves, (n, 2), and their deviation, (n,)."""
+    """Return samples, unexplained velocity changes (n, 2), and their standard deviation (n,)."""
     k = np.arange(half - 1, rec.n_samples - half + 1)
     weighted, basis = _weak_form(rec, p, half)
     sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
@@ -321,7 +321,7 @@ def _sharp(
     inward: dict[int, float],
     impacts: Sequence[npt.NDArray[np.int_]],
 ) -> bool:
-    """Return whether most impacts, by the samples of each, change the velocity as much within half the window."""
+    """Return whether most impacts change the velocity equally within half the window: so they are sudden."""
     short = max(3, half // 2)
     k, residual, _ = _unexplained(rec, p, short)
     within = -np.sum(p[k] * residual, axis=1) / np.hypot(*p[k].T)
@@ -334,7 +334,7 @@ def _sharp(
 
 
 def _parts(rec: Recording, k: npt.NDArray[np.int_]) -> list[slice]:
-    """Return the parts of the samples that have one equation of motion each."""
+    """Return parts of the samples with a constant equation of motion."""
     ways = [rec.signal(name) for name in ("pressure_bar", "speed_rpm") if name in rec.signals]
     if not any(np.ptp(way) > _CHANGE * np.abs(way).max() for way in ways):
         return [slice(None)]
@@ -344,7 +344,7 @@ def _parts(rec: Recording, k: npt.NDArray[np.int_]) -> list[slice]:
 
 
 def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
-    """Return both sides of the weak form around each sample: the second-derivative side and the regressors."""
+    """Return both sides of the weak form of the equation of motion around each sample."""
     t = np.arange(1 - half, half) / half
     window = (1 + np.cos(np.pi * t)) / 2
     slope, bend = -np.pi / 2 * np.sin(np.pi * t) / half, -(np.pi**2) / 2 * np.cos(np.pi * t) / half**2
@@ -365,7 +365,7 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
 
 
 def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
-    """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
+    """Return the residual of a robust regression (on selected samples) at all samples, and its deviation."""
     for _ in range(_ROUNDS):
         regressors, wanted = basis[some], weighted[some]
         coefficients = _least_squares(regressors, wanted)
@@ -377,14 +377,14 @@ def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[
 
 
 def _film(p: FloatArray) -> FloatArray:
-    """Return the regressors of a film that stiffens about an unknown centre."""
+    """Return the regressors of a stiffening film with unknown centre."""
     x, y = np.ascontiguousarray(p.T)
     xx, yy = x * x, y * y  # products: powers of numpy call a function for each sample
     return np.stack([xx, x * y, yy, x * xx, xx * y, x * yy, y * yy]).T
 
 
 def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> BoolArray:
-    """Mark the samples with no impact nearby, because an impact changes the motion on both sides of it."""
+    """Mark the samples without an impact nearby: an impact changes the motion on both sides."""
     if not hit.size:
         return np.ones(len(at), dtype=bool)
     after = np.searchsorted(hit, at)
@@ -397,13 +397,13 @@ def _correlate(values: FloatArray, window: FloatArray) -> FloatArray:
 
 
 def _in_motion(weighted: FloatArray) -> npt.NDArray[np.int_]:
-    """Return the samples at which the disc moves; samples at rest would let noise decide the regression."""
+    """Return the samples with a moving disc: at rest, noise would dominate the regression."""
     energy = np.sum(weighted**2, axis=1)
     return np.flatnonzero(energy > 0.1 * energy.mean())
 
 
 def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
-    """Return the coefficients by normal equations with a small ridge, because columns may be equal or zero."""
+    """Return regression coefficients from normal equations with a small ridge, for equal or zero columns."""
     size = np.sqrt(np.mean(basis**2, axis=0))
     size[size == 0] = 1.0
     scaled = basis / size
@@ -412,7 +412,7 @@ def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
 
 
 def _struck(rec: Recording, half: int) -> BoolArray:
-    """Mark the samples whose window contains a measured force."""
+    """Mark the samples with a measured force in their window."""
     struck = np.zeros(rec.n_samples, dtype=bool)
     for name in ("f", "force"):
         if name in rec.signals:
@@ -470,7 +470,7 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
-    """Return a wrong sample time: phi must turn at ``speed_rpm`` within 2 %.
+    """Return a wrong sample time: the turns of phi must match ``speed_rpm`` within 2 %.
 
     The data cannot show whether the sample time or the speed is wrong. The text gives the sample time that would fit.
     For a recording with changing speed see `gbid.recording.quality`.
@@ -504,13 +504,13 @@ def turning_increments(rec: Recording) -> FloatArray | None:
 
 
 def runs(at: BoolArray) -> list[tuple[int, int]]:
-    """Return the first index of each run of true entries, and the one after its last."""
+    """Return for each run of true entries its first index and the index after its last."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _long_runs(at: BoolArray, least: int) -> FloatArray:
-    """Return the indices of the true entries in runs of at least a given length that touch neither end."""
+    """Return the indices of true entries in long runs that touch neither end."""
     long = [np.arange(a, b) for a, b in runs(at) if b - a >= least and a > 0 and b < len(at)]
     return np.concatenate(long) if long else np.zeros(0, int)
 
@@ -525,7 +525,7 @@ MARGIN = 0.05
 
 @dataclass(frozen=True)
 class SpeedChange:
-    """Change of the speed within a recording.
+    """Change of the shaft speed within a recording.
 
     Attributes
     ----------
@@ -548,7 +548,7 @@ class SpeedChange:
 
 
 def find_speed_changes(rec: Recording) -> Iterator[SignalProblem]:
-    """Return a problem when phi turns at ``speed_rpm`` in one part of a recording only; see `speed_change`."""
+    """Return a problem if phi turns at ``speed_rpm`` in a part of a recording only; see `speed_change`."""
     change = speed_change(rec)
     if change is None:
         return
@@ -567,7 +567,7 @@ def find_speed_changes(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def speed_change(rec: Recording) -> SpeedChange | None:
-    """Return where phi does not turn at ``speed_rpm``; None where it does, or is steady at another speed.
+    """Return a change of speed relative to ``speed_rpm``; None for a constant speed.
 
     The speed is averaged over blocks of a turn or more. A block is off when it differs from ``speed_rpm`` by more than
     2 %. A steady other speed is a matter of the sample time, which has a check of its own.
@@ -680,13 +680,13 @@ def find_problems(
 
 
 def _bridged(rec: Recording) -> Recording:
-    """Return a recording with straight lines across missing samples, and no irregular times: no check needs these."""
+    """Return a recording with missing samples interpolated and without irregular times, for the checks."""
     whole = {name: without_gaps(rec.signals[name])[0] for name in rec.missing}
     return replace(rec, signals={**rec.signals, **whole}, stamps=None) if whole or rec.stamps is not None else rec
 
 
 def _find_rub(rec: Recording) -> Iterator[SignalProblem]:
-    """Find a rub, without the shaft angle when the encoder has faults."""
+    """Return a rub, searched without the shaft angle if the encoder has faults."""
     if "phi" in rec.signals and any(find_encoder_faults(rec)):
         rec = replace(rec, signals={name: values for name, values in rec.signals.items() if name != "phi"})
     return find_rub(rec)
@@ -730,7 +730,7 @@ def stays_at_limits(column: FloatArray) -> dict[float, int]:
 
 
 def _settles(arrivals: list[float], levels: FloatArray, counts: IntArray) -> bool:
-    """Return whether a signal slows down before it reaches ``levels[0]``, its limit, as a step response does.
+    """Return whether a signal slows down before its limit ``levels[0]``, as a step response does.
 
     A signal that its sensor clips arrives there at its usual speed, which is in steps much larger than the spacing of
     the levels, or, when it is slow, after as much time at one level as at the next.
@@ -747,7 +747,7 @@ MAX_LEVELS = 4
 
 
 def content_digest(rec: Recording) -> str:
-    """Return the sha256 of all signals, bit for bit; it does not depend on the name of the recording."""
+    """Return the sha256 of all signals, independent of the recording's name."""
     digest = hashlib.sha256()
     for name in sorted(rec.signals):
         digest.update(f"{name}{rec.signals[name].shape}".encode())
@@ -756,7 +756,7 @@ def content_digest(rec: Recording) -> str:
 
 
 def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[SignalProblem]]:
-    """Return the problems that show only when the recordings of one experiment are compared.
+    """Return problems that appear only in a comparison of an experiment's recordings.
 
     Two recordings with equal samples are duplicates; the second one is reported. When most recordings hold their
     command r for the same time, a recording that holds it for the same number of samples but another time has a wrong
@@ -793,7 +793,7 @@ def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[Signa
 
 
 def _hold(rec: Recording) -> int:
-    """Return the smallest number of samples for which a command with few levels is held; 0 without such a command."""
+    """Return the smallest hold of a command with few levels, in samples; 0 without such a command."""
     if "r" not in rec.signals:
         return 0
     shortest = []
@@ -805,7 +805,7 @@ def _hold(rec: Recording) -> int:
 
 
 def _odd_clocks(holds: dict[str, tuple[int, float]]) -> list[tuple[str, str]]:
-    """Return recordings whose command is held for the usual number of samples but for another time, with a text."""
+    """Return recordings whose sample time seems wrong: usual hold in samples, unusual hold in seconds."""
     times = Counter(f"{samples * step:.6g}" for samples, step in holds.values())
     if not times:
         return []

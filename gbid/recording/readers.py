@@ -1,4 +1,4 @@
-"""Parts of an importer: the file format, its channels, and formats of files that hold arrays by name."""
+"""Types for readers of file formats: formats, channels, open files and stored arrays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gbid.recording.mapping import FilePart
 
 @dataclass(frozen=True)
 class FileChannel:
-    """Channel of a file, as its listing shows it.
+    """Channel of a file, as shown in its list of channels.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FileChannel:
 
 
 class PairResponse(NamedTuple):
-    """Frequency response from one input to one output.
+    """Frequency response from one input to one output, read from a file.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ takes `TextOptions` as a third argument."""
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A format of files that recordings are imported from.
+    """File format for the import of recordings: endings and reading functions.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ SHOWN = 3
 
 
 def with_values(channel: FileChannel, values: FloatArray) -> FileChannel:
-    """Return a channel with its first numbers, and with its step and jitter where it may be a time column."""
+    """Return a channel with its first numbers, and with step and jitter if it may be a time column."""
     first = tuple(values[:SHOWN].tolist())
     step = even_step(values, MAX_RESAMPLED)
     even = step is None or even_step(values) is not None
@@ -135,7 +135,7 @@ def with_values(channel: FileChannel, values: FloatArray) -> FileChannel:
 
 
 class StoredArray(NamedTuple):
-    """Array that a file holds under one name.
+    """Array stored under a name in a file.
 
     Attributes
     ----------
@@ -176,12 +176,12 @@ ALL = FilePart()
 
 
 def rows_of(part: FilePart) -> tuple[slice, int | None]:
-    """Return the samples to be read, and the number of the first one where they are some of the samples."""
+    """Return the slice of samples to read, and the index of the first one unless all are read."""
     return (slice(None), None) if part.samples is None else (slice(*part.samples), part.samples[0])
 
 
 def index_of(shape: tuple[int, ...], part: FilePart) -> tuple[tuple[slice, ...], int | None, int | None]:
-    """Return the index of the samples to be read of an array, the number of the first one, and of all.
+    """Return the index of the samples to read from an array, the first sample's number, and the total.
 
     All are read, without numbers, where no samples are named or the axis of time is not the longer one.
     """
@@ -196,7 +196,7 @@ StoredReader = Callable[[], StoredArray]
 
 
 class OpenFile(NamedTuple):
-    """Open file that holds arrays by name.
+    """Open file with named arrays.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]
 
 
 def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sample_time: bool = False) -> FileFormat:
-    """Return the format of files that hold arrays by name, read by a library that may crash.
+    """Return a format of files with named arrays, read in a separate process because the library may crash.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def _opened(opener: Opener, what: str, path: Path, names: Sequence[str] | None) 
 
 
 def _array_channels(name: str, stored: StoredArray) -> list[FileChannel]:
-    """Return the channels of an array, each with the name that `pick_column` takes; others have a remark."""
+    """Return the channels of an array with names for `pick_column`; unusable ones have a remark."""
     value, unit, sample_time, _, remark, *_ = stored
     if remark:
         return [FileChannel(name, int(np.size(value)), unit, sample_time, remark=remark)]

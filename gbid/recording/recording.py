@@ -1,4 +1,4 @@
-"""Recording: the sampled signals of one experiment, from data frames and xarray, in HDF5, with an unbalance signal."""
+"""Recording: sampled signals of one experiment; HDF5 files, data frames, xarray, and the unbalance signal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from gbid.recording.columns import seconds
 def signal_columns(
     frame: Any, signals: Mapping[str, str | Sequence[str]] | None, time: str | None
 ) -> tuple[dict[str, FloatArray], dict[str, tuple[str, ...]]]:
-    """Return signals and channel names from the columns of a data frame.
+    """Return signals and channel names from a data frame's columns.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def signal_columns(
 
 
 def frame_sample_time(frame: Any, time: str | None) -> float:
-    """Return the sample time of a data frame [s], from a column or from its index.
+    """Return the sample time of a data frame [s], from a column or its index.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _even_step(times: npt.NDArray[Any]) -> float:
 
 
 def _xarray_times(dataset: Any, time: str) -> tuple[FloatArray | None, float | None]:
-    """Return the irregular times and the sample time of a dataset of xarray [s]; one of them is None."""
+    """Return irregular times, or the sample time, of an xarray dataset [s]; the other value is None."""
     if time not in dataset.coords:
         raise UsageError(f"the dataset has no times: no coordinate {time!r}; give sample_time, or its name: time=")
     axis = dataset.coords[time]
@@ -217,7 +217,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("recording", "record or import it again")
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write this recording to the `group`; signals have the attributes by which NeXus readers find the plot."""
+        """Write this recording to a `group`, with attributes for NeXus readers."""
         group.attrs["name"] = self.name
         group.attrs["default"] = "signals"
         hdf5.add_dataset(group, "sample_time", self.sample_time, "s", "time between samples")
@@ -242,7 +242,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
 
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> Recording:
-        """Return the recording in a `group` of `to_hdf5`, whose time axis must agree with its sample time."""
+        """Return the recording from a `group` written by `to_hdf5`; times must agree with the sample time."""
         signals, units, channels, irregular = {}, {}, {}, False
         entries, known = hdf5.read_group(group, "signals"), hdf5.read_group(group, "conditions")
         for name in entries:
@@ -294,7 +294,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         conditions: Mapping[str, float] | None = None,
         name: str = "recording",
     ) -> Recording:
-        """Return a recording with the columns of a data frame, whose values are in SI units.
+        """Return a recording from the columns of a data frame with values in SI units.
 
         Parameters
         ----------
@@ -361,7 +361,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         conditions: Mapping[str, float] | None = None,
         name: str | None = None,
     ) -> Recording:
-        """Return a recording with variables of a dataset of xarray, whose values are in SI units.
+        """Return a recording from variables of an xarray dataset with values in SI units.
 
         Parameters
         ----------
@@ -424,7 +424,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         )
 
     def to_xarray(self) -> Any:
-        """Return a dataset of xarray with a variable (time, channels) for each signal, which netCDF files can hold.
+        """Return an xarray dataset with a variable (time, channels) for each signal, ready for netCDF.
 
         Returns
         -------
@@ -458,7 +458,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return self.n_samples
 
     def __getitem__(self, samples: _Range) -> Recording:
-        """Return a stretch of the recording: ``recording[100:200]``, as `slice` does."""
+        """Return a part of the recording: ``recording[100:200]``; see `slice`."""
         if not isinstance(samples, slice):
             raise UsageError(
                 f"recording[{samples!r}]: give a range of samples, as [100:200]; recording.signal(name) gives a signal"
@@ -485,7 +485,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
 
     @property
     def time(self) -> FloatArray:
-        """Sample times from zero [s], shape (n_samples,)."""
+        """Sample times, from zero [s], shape (n_samples,)."""
         if self.stamps is not None:
             return self.stamps
         return np.asarray(self.sample_time * np.arange(self.n_samples), dtype=np.float64)
@@ -525,12 +525,12 @@ class Recording(Brief, Pictured, hdf5.InFile):
 
     @cached_property
     def missing(self) -> Mapping[str, int]:
-        """Number of missing samples (NaN) of each signal that has any, over all its channels."""
+        """Number of missing samples (NaN), over all channels, of each signal with missing samples."""
         counts = {name: int(np.isnan(values).sum()) for name, values in self.signals.items()}
         return MappingProxyType({name: count for name, count in counts.items() if count})
 
     def held(self, *names: str) -> Recording:
-        """Return a copy in which missing samples have the last value before them.
+        """Return a copy in which missing samples repeat the last value before them.
 
         That is what a command is between its samples; it is no repair of a measured signal.
 
@@ -554,7 +554,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return replace(self, signals={**self.signals, **signals})
 
     def interpolated(self, *names: str) -> Recording:
-        """Return a copy in which missing samples lie on a straight line in time between those around them.
+        """Return a copy in which missing samples are interpolated linearly in time.
 
         That is what an input with first-order hold is between its samples; it is no repair of a measured output.
 
@@ -626,7 +626,7 @@ _EVEN = 1e-9  # largest deviation of a step from the mean step, relative, that i
 
 
 def _irregular(recording: str, stamps: npt.ArrayLike, n: int) -> tuple[FloatArray | None, float]:
-    """Return irregular times from the first one, None where they are even, and their mean step."""
+    """Return irregular times counted from the first (None if evenly spaced), and their mean step."""
     time = np.asarray(stamps, float)
     if time.shape != (n,) or n < 2:
         raise DataError(f"recording {recording!r}: stamps have shape {time.shape}; give a time for each of {n} samples")
@@ -644,7 +644,7 @@ def _irregular(recording: str, stamps: npt.ArrayLike, n: int) -> tuple[FloatArra
 
 
 def without_gaps(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:
-    """Return samples (n, n_columns) with straight lines across missing ones, and which are missing; None when none."""
+    """Return samples (n, n_columns) with missing ones interpolated, and which are missing (None if none)."""
     missing = np.isnan(values)
     if not missing.any():
         return values, None
@@ -655,20 +655,20 @@ def without_gaps(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:
 
 
 def _first_missing(values: FloatArray) -> str:
-    """Return in words where the first sample is missing."""
+    """Return a text on the first missing sample."""
     row, column = np.argwhere(np.isnan(values))[0]
     return f"at sample {row}, channel {column}"
 
 
 def _is_finite(value: object) -> bool:
-    """Return whether a value is one finite number: a float, an int, or a numpy scalar or 0-d array of them."""
+    """Return whether a value is one finite number: float, int, numpy scalar or 0-d array."""
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
         return False
     return bool(np.isfinite(value))  # type: ignore[call-overload]
 
 
 def _check_key(recording: str, key: object) -> None:
-    """Refuse names that cannot be used in a file."""
+    """Refuse names that cannot be stored in a file."""
     if not isinstance(key, str) or not key or "/" in key or key in (".", "time"):
         raise DataError(
             f"recording {recording!r}: {key!r} cannot name a signal or condition; give a word without '/', "
@@ -677,7 +677,7 @@ def _check_key(recording: str, key: object) -> None:
 
 
 def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
-    """Return one signal as a read-only float array, after the checks."""
+    """Return a checked signal as a read-only float array."""
     where = f"recording {recording!r}: signal {signal!r}"
     try:
         # numpy would silently drop a mask or an imaginary part and read text as numbers

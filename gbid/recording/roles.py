@@ -1,4 +1,4 @@
-"""Roles of the columns of a measured file by their names: references, piezos, positions, shaft angle and time."""
+"""Roles of a file's columns, from their names: references, piezos, positions, shaft angle and time."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class Roles(NamedTuple):
 
     @property
     def open_roles(self) -> tuple[str, ...]:
-        """Signals without columns, where a column is not used that may be one of them by what its name says."""
+        """Missing roles that an unused column may have, judged by its name."""
         unused = [reason for taken, reason in self.columns.values() if not taken]
         missing = [role for role in ROLES if role not in self.signals]
         return tuple(q for q in missing if any(why.startswith((_UNKNOWN, f"{q} by ")) for why in unused))
 
 
 def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None) -> Roles:
-    """Return the roles of the channels of a file, those given first.
+    """Return the roles of a file's channels: given roles, then roles found by name.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, .
 
 
 def _role(name: str) -> tuple[str | None, int, str]:
-    """Return the role of a channel by its name, the number of its axis, and the reason."""
+    """Return a channel's role and axis number from its name, with the reason."""
     words = words_of(name)
     if short := _SHORT.fullmatch("".join(words)):
         words = [short[1], short[2]]
@@ -119,7 +119,7 @@ def _role(name: str) -> tuple[str | None, int, str]:
 
 
 def column_lines(roles: Mapping[Path, Roles]) -> tuple[str, ...]:
-    """Return the lines of a table of all columns and what they are taken as, once for files with equal columns."""
+    """Return table lines with all columns and their roles, once for files with equal columns."""
     alike: dict[tuple[object, ...], list[Path]] = {}
     for path, each in roles.items():
         alike.setdefault(tuple(each.columns.items()), []).append(path)

@@ -1,4 +1,4 @@
-"""Tables in text files: encoding, delimiter, decimal sign, header, units, and columns of numbers."""
+"""Tables in text files: encoding, delimiter, decimal sign, header, units, and numeric columns."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _MEMORY_PER_BYTE = 9  # of a file that is read as a whole: text, lines, numbers;
 
 
 class FileText(NamedTuple):
-    """Text of a file.
+    """Text of a file, with its encoding.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def read_text(path: Path, encoding: str | None = None, *, ends: bool = False) ->
 
 
 def holds_text(path: Path) -> bool:
-    """Return whether the first bytes of a file are text."""
+    """Return whether a file is text, judged by its first bytes."""
     refuse_special(path)
     with path.open("rb") as file:
         head = file.read(_HEAD)
@@ -130,7 +130,7 @@ def _is_wide(codec: str) -> bool:
 
 
 def _count_lines(file: BinaryIO, end: int) -> tuple[int, int]:
-    """Return the number of lines from here to a place, and of those that are neither empty nor comments."""
+    """Return the number of lines up to a position, and the number of lines that are neither empty nor comments."""
     lines = rows = 0
     while (left := end - file.tell()) > 0:
         block = file.read(min(_BLOCK, left))
@@ -206,7 +206,7 @@ _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct",
 
 
 class NumberedLine(NamedTuple):
-    """Line of a text file and its number, counted from 1."""
+    """Line of a text file with its number, counted from 1."""
 
     number: int
     text: str
@@ -252,7 +252,7 @@ class TextLayout:
     segments: tuple[int, ...] = ()
 
     def stated(self) -> dict[str, str | int | None]:
-        """Return the layout as plain values."""
+        """Return the layout options as plain values."""
         skipped = {"lines_skipped": " to ".join(map(str, self.block))} if self.block else {}
         return {
             "encoding": self.encoding,
@@ -267,7 +267,7 @@ class TextLayout:
 
     @property
     def remark(self) -> str:
-        """What was assumed or left out; empty for a file of names, units and rows."""
+        """Text on assumptions and skipped lines; empty for a plain file of names, units and rows."""
         said = []
         if self.header is None:
             said.append(f"no line has names: the columns are numbered, and line {self.rows_from} is the first row")
@@ -293,7 +293,7 @@ def is_comment(text: str) -> bool:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Return whether a cell is a number with this decimal sign."""
+    """Return whether a cell is a number with a given decimal sign."""
     return bool(_DIGITS[decimal].fullmatch(cell.strip()))
 
 
@@ -303,7 +303,7 @@ def is_stamp(cell: str) -> bool:
 
 
 def has_thousands(cell: str, decimal: str) -> bool:
-    """Return whether a cell is a number with thousands signs that cannot be read in another way.
+    """Return whether a cell is certainly a number with thousands separators.
 
     ``1.234`` may be 1.234 or 1234, and is none. ``1.234,5``, ``1.234.567`` and ``1'234`` are.
     """
@@ -316,7 +316,7 @@ def _is_value(cell: str, decimal: str) -> bool:
 
 
 def split_cells(text: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, without blanks around them."""
+    """Return the cells of a line, without surrounding blanks."""
     if delimiter == " ":
         return text.split()
     try:
@@ -330,7 +330,7 @@ _OTHER_COMMENTS = "!;'*"  # signs that begin comments in some programs, and cell
 
 
 def _with_comments(lines: list[NumberedLine]) -> list[NumberedLine]:
-    """Return the lines, with the first mark of comments for others that begin the first lines and no other line."""
+    """Return the lines with unusual comment marks at the top of the file replaced by ``#``."""
     sign = lines[0].text[:1] if lines else ""
     count = next((i for i, line in enumerate(lines) if not line.text.startswith(sign)), len(lines))
     if not sign or sign not in _OTHER_COMMENTS or count == len(lines):
@@ -353,7 +353,7 @@ _COUNTED = re.compile(
 
 
 def _stated_count(lines: Sequence[NumberedLine]) -> tuple[NumberedLine, int] | None:
-    """Return the line above the rows that states their number, and the number; None where no line, or several, do."""
+    """Return the header line that states the number of rows, and this number; None if not unique."""
     found = []
     for line in lines:
         key, *cells = (cell.strip(' "') for cell in re.split(r"[:=,;\t]", line.text))
@@ -364,7 +364,7 @@ def _stated_count(lines: Sequence[NumberedLine]) -> tuple[NumberedLine, int] | N
 
 
 def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptions) -> TextLayout:
-    """Return the layout of a table.
+    """Return the layout of a table, detected from its lines.
 
     The last lines that do not begin with a word show the columns: delimiter and decimal sign are those that give the
     most columns of numbers, beside the fewest others. The rows begin at the first line with such numbers. The names are
@@ -413,12 +413,12 @@ _NO_VALUE = re.compile(
 
 
 def _is_number_like(text: str, columns: _Candidate) -> bool:
-    """Return whether a line is a row, or may be a damaged one."""
+    """Return whether a line is a row, or a possibly damaged row."""
     return not _begins_with_word(text) or columns.is_row(text)
 
 
 def _without_trailer(content: Sequence[NumberedLine]) -> Sequence[NumberedLine]:
-    """Return the lines without the last ones that begin with a word; all when no other has numbers."""
+    """Return the lines without trailing text lines; all lines if no numbers remain."""
     end = len(content)
     while end > 0 and _begins_with_word(content[end - 1].text):
         end -= 1
@@ -430,7 +430,7 @@ _RULES = 2  # in a file with one segment: of the header of the file, and of the 
 
 
 def _in_one_segment(path: Path, lines: list[NumberedLine]) -> tuple[list[NumberedLine], tuple[int, ...]]:
-    """Return the lines without the headers of segments after the first, and the first line of each of these headers.
+    """Return the lines without the headers of later segments, and the first line number of each such header.
 
     Raises
     ------
@@ -457,7 +457,7 @@ def _in_one_segment(path: Path, lines: list[NumberedLine]) -> tuple[list[Numbere
 
 
 class _Candidate:
-    """Columns of a table as one delimiter and one decimal sign show them."""
+    """Table columns under one choice of delimiter and decimal sign."""
 
     def __init__(self, content: Sequence[NumberedLine], delimiter: str, decimal: str) -> None:
         self.delimiter, self.decimal = delimiter, decimal
@@ -477,7 +477,7 @@ class _Candidate:
         self.rank = (bool(numeric), alike >= _MOST * len(tail), numeric - others if numeric else self.count, numbers)
 
     def _has_numbers(self, row: list[str]) -> bool:
-        """Return whether cells in the columns of numbers are numbers or empty, and not all empty."""
+        """Return whether cells in numeric columns are numbers or empty, and not all empty."""
         filled = [row[i] for i in self.numeric if row[i]]
         return bool(filled) and all(_is_value(cell, self.decimal) for cell in filled)
 
@@ -486,7 +486,7 @@ class _Candidate:
         return bool(filled) and sum(_is_value(c, self.decimal) for c in filled) >= _MOST * len(filled)
 
     def cells(self, text: str) -> list[str] | None:
-        """Return the cells of a line, without an empty last one when all rows have it; None for another number."""
+        """Return a line's cells (without an empty last one if all rows have it); None for a wrong number of cells."""
         row = split_cells(text, self.delimiter)
         if len(row) == self.count + 1 and row[-1] in _UNUSED:
             row = row[:-1]
@@ -495,25 +495,25 @@ class _Candidate:
         return row if len(row) == self.count - self.open_end else None
 
     def is_row(self, text: str) -> bool:
-        """Return whether a line has numbers in the columns of numbers."""
+        """Return whether a line has numbers in the numeric columns."""
         row = self.cells(text)
         if row is None or not self.numeric or any(row[i] for i in self.empty if i < len(row)):
             return False
         return self._has_numbers(row)
 
     def is_names(self, text: str) -> bool:
-        """Return whether a line may hold the names of the columns."""
+        """Return whether a line may contain the column names."""
         row = self.cells(text)
         names = [] if row is None else [row[i] for i in self.filled if i < len(row)]
         is_text = bool(names) and all(names) and not any(_is_value(cell, self.decimal) for cell in row or ())
         return is_text and not self.says_units(text)
 
     def says_units(self, text: str) -> bool:
-        """Return whether a line begins with a word for units, and has no other words."""
+        """Return whether a line starts with a word for units, and has no other words."""
         return split_cells(text, self.delimiter)[0].lower() in _UNIT_WORDS and self.is_units(text)
 
     def is_units(self, text: str) -> bool:
-        """Return whether a line may hold the units of the columns."""
+        """Return whether a line may contain the column units."""
         row = self.cells(text)
         if row is None:
             return False
@@ -522,7 +522,7 @@ class _Candidate:
         return any(units) and all(is_file_unit(cell) for cell in units)
 
     def is_block(self, text: str) -> bool:
-        """Return whether a line between the names and the rows is surely no row."""
+        """Return whether a line between names and rows is certainly no row."""
         values = any(_is_value(cell, sign) for cell in split_cells(text, self.delimiter) for sign in DECIMALS)
         return (not values or _begins_with_word(text)) and not self.is_row(text)
 
@@ -570,7 +570,7 @@ def _with_header(
 
 
 def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
-    """Return the lines of names that no line of values follows before the last one.
+    """Return the candidate lines of names that come after the last line with values.
 
     A block of an oscilloscope has lines such as ``Vertical Units,V,A`` above ``Vertical Offset,0,0``.
     """
@@ -587,7 +587,7 @@ def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], 
 
 
 def _last_with_time(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
-    """Return the last line of names alone where it has a name of times, and no line before it: those are a block."""
+    """Return only the last line of names if it alone contains a time name; else all candidates."""
     names = [i for i in named if not columns.is_units(content[i].text)]
     with_time = [i for i in names if any(TIME_WORDS & set(words_of(c)) for c in columns.cells(content[i].text) or ())]
     return with_time if with_time == names[-1:] else named
@@ -599,13 +599,13 @@ def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
 
 
 def without_mark(text: str) -> str:
-    """Return the text of a line without the mark of a comment."""
+    """Return the text of a line without its comment mark."""
     text = text.lstrip()
     return text.lstrip("#%/").lstrip() if is_comment(text) else text
 
 
 def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int, tuple[int, ...]]:
-    """Return the line of units, the number of the first row, and the first and last line between that are skipped."""
+    """Return the line of units, the line number of the first row, and the range of skipped lines between them."""
     ends = next((i for i, line in enumerate(below[:_BLOCK_LINES]) if not columns.is_block(line.text)), len(below))
     at = next((i for i in range(min(ends, _DESCRIBED)) if columns.is_units(below[i].text)), None)
     skipped = [] if ends == len(below) else [line.number for i, line in enumerate(below[:ends]) if i != at]
@@ -623,7 +623,7 @@ CUT = "left out: it has no line break, so the file may have been cut there"
 
 @dataclass(frozen=True)
 class TextTable:
-    """Table in a text file.
+    """Table read from a text file.
 
     Attributes
     ----------
@@ -658,7 +658,7 @@ class TextTable:
 
     @property
     def remark(self) -> str:
-        """What was assumed or left out, and a number of rows in the header that is another one."""
+        """Text on assumptions, left-out lines, and a stated number of rows that is wrong."""
         count, said = len(self.rows) + self.n_left_out, [self.layout.remark]
         if self.stated and self.stated[1] != count:
             line, number = self.stated
@@ -696,7 +696,7 @@ class TextTable:
         return rows
 
     def index(self, reference: str) -> int:
-        """Return the index of a column; several of one name, ``Time #1`` and so on, are one when they are equal.
+        """Return the index of a column; equal numbered columns (``Time #1``, ``Time #2``) count as one.
 
         Raises
         ------
@@ -714,13 +714,13 @@ class TextTable:
         return twins[0]
 
     def are_equal(self, indices: Sequence[int]) -> bool:
-        """Return whether columns have the same numbers."""
+        """Return whether columns contain equal numbers."""
         values = self.columns(indices)
         return all(np.array_equal(values[:, 0], other, equal_nan=True) for other in values.T)
 
     @cached_property
     def clocks(self) -> dict[int, FloatArray]:
-        """Times of the time columns, by index, where there are several of one name with different times, else none.
+        """Times by index of time columns with a common name but different times; else none.
 
         In such files each channel, or group of channels, has its time column before it, which may end earlier than the
         others.
@@ -738,7 +738,7 @@ class TextTable:
         return {}
 
     def columns(self, indices: Sequence[int]) -> FloatArray:
-        """Return columns as numbers, (n_rows, n_columns).
+        """Return selected columns as numbers, (n_rows, n_columns).
 
         Raises
         ------
@@ -754,7 +754,7 @@ class TextTable:
         return fast
 
     def _fast(self, indices: Sequence[int]) -> FloatArray | None:
-        """Return the columns by numpy's reader; None where the rows need a closer look."""
+        """Return the columns by numpy's reader; None if the rows need the slow reader."""
         delimiter, lines = self.layout.delimiter, [line.text for line in self.rows]
         if delimiter == " " or any('"' in line for line in lines) or self.layout.decimal == delimiter:
             return None
@@ -783,7 +783,7 @@ class TextTable:
         return np.array([float(cell) for cell in cells])
 
     def _times(self, index: int, column: Sequence[str]) -> FloatArray:
-        """Return time stamps in seconds from the first one.
+        """Return time stamps in seconds since the first one.
 
         Raises
         ------
@@ -814,7 +814,7 @@ class TextTable:
         return np.array([time - times[0] for time in times]) * 1e-9
 
     def _refuse_unclear(self, indices: Sequence[int], values: FloatArray) -> None:
-        """Refuse columns that may have thousands signs: `1.001` after `998`, with no other number of decimals.
+        """Refuse columns with possible thousands separators: `1.001` after `998`, always with three decimals.
 
         The sign of another column, such as the one of `0.25`, settles it, unless whole numbers lie far from the others.
         """
@@ -841,7 +841,7 @@ class TextTable:
 
     @cached_property
     def settles_decimal(self) -> bool:
-        """Whether a cell has the decimal sign where no thousands sign can stand, as ``0.5`` or ``12.25``."""
+        """Whether some cell proves the decimal sign, as ``0.5`` or ``12.25`` does."""
         sign = self.layout.decimal
         cells = (cell.strip() for row in self.cells for cell in row if sign in cell)
         return any(is_number(cell, sign) and not _GROUPED_TWICE.fullmatch(cell) for cell in cells)
@@ -863,7 +863,7 @@ _ORDERS = ("dmy", "mdy", "ymd")  # of day, month and year in a date
 
 
 def _stamp(cell: str) -> tuple[str, str, int]:
-    """Return the form of a time stamp, empty when it is none, its date, and its time of day in nanoseconds."""
+    """Return a time stamp's form (empty for other cells), date, and time of day in nanoseconds."""
     match = _STAMP.fullmatch(cell)
     if match is None:
         return "", "", 0
@@ -879,7 +879,7 @@ def _stamp(cell: str) -> tuple[str, str, int]:
 
 
 def _day_of(text: str, order: str) -> int | None:
-    """Return the number of a day from a date with its parts in this order; None when it has another order."""
+    """Return the day number of a date with parts in a given order; None if the order does not fit."""
     if not text:
         return 0
     parts = re.split("[-/.]", text.lower())
@@ -897,7 +897,7 @@ def _day_of(text: str, order: str) -> int | None:
 
 
 def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) -> TextTable:
-    """Return the table in a text file with some rows only, for which no more than these are kept in memory.
+    """Return the table in a text file with selected rows only, to save memory.
 
     Raises
     ------
@@ -923,7 +923,7 @@ def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) ->
 
 
 def is_large(path: Path) -> bool:
-    """Return whether a text file is so large that looks at it read its ends only; no segment of LabVIEW is missed."""
+    """Return whether a text file is so large that inspections read only its ends."""
     with path.open("rb") as file:
         if os.fstat(file.fileno()).st_size <= 2 * _END:
             return False
@@ -938,7 +938,7 @@ _SHOWN_WIDE = 100  # first lines whose columns are counted
 
 
 def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:
-    """Return the table in a text file, with its layout as given or as found; of a large file the ends if asked for.
+    """Return the table in a text file, with a given or detected layout; `ends` reads only the ends of a large file.
 
     Raises
     ------

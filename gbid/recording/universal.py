@@ -1,4 +1,4 @@
-"""Universal files of modal analysis (UFF), by pyuff: sets 58, functions at nodes, and 55, data at nodes."""
+"""Universal files of modal analysis (UFF), by pyuff: dataset 58 (functions) and dataset 55 (data at nodes)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PER_LINE = {(2, 1): 6, (2, 0): 3, (4, 1): 4, (4, 0): 2, (5, 1): 3, (5, 0): 2, (
 
 
 class _FunctionSet(NamedTuple):
-    """Set 58 in a file: lines before the numbers, where these are, and how: bytes of a point, or points in a line."""
+    """Dataset 58 in a file: header lines, position of the numbers, and their format (binary or lines)."""
 
     head: bytes
     begin: int
@@ -41,7 +41,7 @@ class _FunctionSet(NamedTuple):
     per_line: int
 
     def cut(self, data: Any, rows: slice) -> tuple[bytes, int]:
-        """Return the set with these points, and how many points of the same line are before them."""
+        """Return the dataset with selected points, and how many earlier points its first line contains."""
         first, stop = rows.start or 0, rows.stop
         begin, end, skipped = self.begin, self.end, first
         if self.point_bytes:
@@ -59,7 +59,7 @@ class _FunctionSet(NamedTuple):
 
 
 def _blocks(path: Path, data: Any) -> Iterator[_FunctionSet]:
-    """Yield the sets 58 of a file that is mapped into memory."""
+    """Yield the datasets 58 of a file mapped into memory."""
     mark, k = _MARK.search(data), 0
     while mark:
         lines, at = list[bytes](), mark.start()
@@ -85,7 +85,7 @@ def _blocks(path: Path, data: Any) -> Iterator[_FunctionSet]:
 
 
 def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> list[dict[str, Any]]:
-    """Return functions (sets 58; all, or some by number) with these points alone, as `read_sets` does.
+    """Return functions (datasets 58: all, or selected ones) with selected points; see `read_sets`.
 
     The values of a function are in ``data``, its times in ``x``; ``num_pts`` counts all of its points.
     """
@@ -111,7 +111,7 @@ def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> l
 
 
 def read_sets(path: Path, kinds: Sequence[int]) -> list[dict[str, Any]]:
-    """Return the sets of these kinds, each with the fields of pyuff.
+    """Return the datasets of given kinds, with the fields of pyuff.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def read_sets(path: Path, kinds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _sets(pyuff: Any, file: Path, path: Path) -> list[dict[str, Any]]:
-    """Return the sets of a file, or of a part of it; `path` is for messages."""
+    """Return the datasets in a file or a part of it; `path` is for messages."""
     try:
         opened = pyuff.UFF(str(file))
         return [opened.read_sets(i) for i, kind in enumerate(opened.get_set_types().tolist()) if kind in (55, 58)]
@@ -146,7 +146,7 @@ def _check_end(path: Path) -> None:
 
 
 def _points(sets: Sequence[Mapping[str, Any]], role: str) -> list[str]:
-    """Return the name of the point of each function (`role` rsp) or of its input (ref).
+    """Return the point name of each function's output (`role` rsp) or input (ref).
 
     It is the name of the entity where this has one point only, else node and direction: ``12z``, ``3-x``.
     """
@@ -165,7 +165,7 @@ def _points(sets: Sequence[Mapping[str, Any]], role: str) -> list[str]:
 
 @contextmanager
 def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
-    """Return a context with the functions of a universal file over time; `time` where they share their times."""
+    """Return a context with the time functions of a universal file, and their common `time` if equal."""
     sets = read_rows(path, slice(0, 1))
     is_time = [each["func_type"] == _TIME or each["abscissa_spec_data_type"] == _OVER_TIME for each in sets]
     points = zip(_points(sets, "rsp"), _points(sets, "ref"), is_time, strict=True)
@@ -190,7 +190,7 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
         return StoredArray(read["data"], unit, step, fault, remark, first, each["num_pts"], start_ns=start)
 
     def times(rows: slice) -> FloatArray | None:
-        """Return the times that all functions share; None where they do not."""
+        """Return the times common to all functions; None if they differ."""
         keys = ("num_pts", "abscissa_spacing", "abscissa_min", "abscissa_inc")
         if len({tuple(sets[k][key] for key in keys) for k in over_time}) != 1:
             return None
@@ -209,7 +209,7 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
 
 
 def read_responses(path: Path) -> tuple[dict[tuple[str, str], PairResponse], bool]:
-    """Return the frequency responses of a universal file by output and input, and whether they come with coherence.
+    """Return the frequency responses in a universal file by output and input, and whether they have coherence.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def read_responses(path: Path) -> tuple[dict[tuple[str, str], PairResponse], boo
 
 
 def _at_nodes(sets: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], PairResponse]:
-    """Return the responses in sets 55, each of which has all nodes at one frequency; the input is the load case."""
+    """Return the responses in datasets 55 (all nodes at one frequency each); the load case is the input."""
     points: dict[tuple[str, str], list[tuple[float, complex]]] = defaultdict(list)
     for each in sets:
         if each["analysis_type"] != 5:
