@@ -217,7 +217,7 @@ def _numbers(name: str, value: Any, owner: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class MachineData:
-    """Machine data that no recording shows, such as masses; None where unknown.
+    """Machine data that no recording shows: moving mass, piezo travel, clearance; None where unknown.
 
     Parameters
     ----------

@@ -24,13 +24,13 @@ Number = Annotated[float, Strict(), AllowInfNan(False)]
 
 
 class FileTable:
-    """Base of tables in a model file; unknown keys are refused."""
+    """Base of the tables of model files; unknown keys are refused."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     @classmethod
     def read(cls, file: YamlFile) -> Self:
-        """Return the checked contents of a table.
+        """Return the contents of a YAML file, checked.
 
         Raises
         ------
