@@ -49,7 +49,7 @@ def check(
         raise typer.Exit(code)
 
 
-# ---- `gbid doctor`: whether this machine has what gbid needs, and what it does without.
+# ---- `gbid doctor`: requirements of gbid on this machine, and missing optional parts.
 
 
 @with_options("as_json", "debug")
@@ -73,7 +73,7 @@ def doctor(options: CommonOptions) -> None:
         raise typer.Exit(1)
 
 
-# ---- `gbid bench`: how fast a fit is on this machine.
+# ---- `gbid bench`: duration of a fit on this machine.
 
 
 @with_options("as_json", "debug")
@@ -108,7 +108,7 @@ def bench(
     print_tables(Table(f"fit of {samples} samples, {document['status']}", columns, rows))
 
 
-# ---- `gbid explain`: what the code of a note means, and what to do.
+# ---- `gbid explain`: meaning of a note's code, and advice.
 
 
 @with_options("as_json", "debug")

@@ -317,7 +317,7 @@ def export(
         tell(f"gbid: warning: left out: {text}")
 
 
-# ---- `gbid clean`: removal of what killed runs left, of records of failures, and on request of results.
+# ---- `gbid clean`: removal of files of killed runs, records of failures, and on request results.
 
 
 @with_options("results", "dry_run", "quiet", "as_json", "debug")

@@ -18,8 +18,6 @@ from gbid.cli.guard import guarded
 if TYPE_CHECKING:
     from gbid.experiment.experiment import Experiment
 
-# ---- Shell completion: YAML files and folders.
-
 
 def files_ending(*endings: str) -> Callable[[str], list[str]]:
     """Return a shell completion function for folders and files with given endings."""

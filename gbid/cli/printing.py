@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from gbid.core.tables import Table
 
 
-# ---- Lines for people on standard error; what a terminal would act on is shown as its code.
-
-
 def tell(text: str) -> None:
     """Print lines on standard error.
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from gbid.identify import Progress
 
 
-# ---- Progress of a stage with many items: done, running, failed, time left, worst fit so far.
-
 MANY = 12
 """Largest number of items for which each has a line of its own in the progress."""
 
@@ -126,9 +124,6 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-# ---- Outcome of an item in words.
-
-
 def outcome_line(outcome: Outcome) -> str:
     """Return the outcome of an item as text."""
     took = f" ({outcome.seconds:.1f} s)" if outcome.state == "made" else ""
@@ -136,8 +131,6 @@ def outcome_line(outcome: Outcome) -> str:
     why = f": {outcome.text}" if outcome.text else ""
     return f"{outcome.item.stage} {outcome.item}: {state}{took}{why}"
 
-
-# ---- Bar at the bottom of a terminal.
 
 _BAR = 16  # characters
 
@@ -179,8 +172,6 @@ class LiveBar:
         """Print a line above the bar."""
         self.progress.console.print(printable(text), markup=False, soft_wrap=True)
 
-
-# ---- Causes of results that were not made: what failed first, and what is missing because of it.
 
 _LISTED = 10  # largest number of failures that are listed one by one; all are in the JSON document
 _NOUNS = {"rig": "recording", "import": "recording", "prefilter": "recording", "fit": "model", "figure": "figure"}

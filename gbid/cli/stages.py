@@ -26,8 +26,6 @@ from gbid.report.campaign_tables import campaign_document, campaign_tables
 from gbid.report.read import kept_report
 from gbid.report.views import fit_rows, points_of, summary_lines, view_of
 
-# ---- Command that one would sensibly give next, from the sections that an experiment has.
-
 _LIKE = {
     **{"batch": "fit", "run": "report", "paper": "cycle"},
     **{"loop": "check", "prefilter": "import", "loop-cost": "static", "nominal": "crossval"},
@@ -57,8 +55,6 @@ def next_step(experiment: Experiment, verb: str) -> str:
         return f"gbid export {path} --to {'c' if experiment.spec.controller else 'matlab'}"
     return ""
 
-
-# ---- Exit code of a verb, and its messages about failed items.
 
 _MISSED = 20  # largest number of pairs below the minimum that are listed
 _CODES = {"defect": GbidError.exit_code, "usage": UsageError.exit_code}
@@ -110,8 +106,6 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
         tell(f"next: {advice}")
 
 
-# ---- What a verb would make, without making it: `--dry-run`.
-
 _COLUMNS = (Column("stage"), Column("to make", format="d"), Column("there", format="d"), Column("failed", format="d"))
 _LATER = "what is to be made is known when the stages before have run"
 
@@ -148,9 +142,6 @@ def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
             pending = pending or "missing" in states
         rows.append({"stage": stage.name, **dict(zip(("to_make", "there", "failed"), counts, strict=True))})
     return rows
-
-
-# ---- Work of a verb: the results folder is locked, stages run, their results are printed.
 
 
 @contextmanager

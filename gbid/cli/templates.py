@@ -84,8 +84,6 @@ def _save_csv(path: Path, header: str, *columns: npt.NDArray[Any]) -> None:
     np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.6g")
 
 
-# ---- Templates of experiments that `gbid new` writes.
-
 SCHEMA = "experiment.schema.json"
 """Name of the schema file beside an experiment; an editor completes and checks keys with it."""
 

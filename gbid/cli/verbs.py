@@ -101,9 +101,6 @@ def run(
         run_stages(stage, experiment, options, before=until is not None)
 
 
-# ---- Verbs that show existing results and compute nothing else.
-
-
 class FigureFormat(StrEnum):
     """File formats of figures."""
 

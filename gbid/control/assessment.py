@@ -38,8 +38,6 @@ from gbid.structure import LinearModel, PiezoPair
 from gbid.structure.delay import with_pade
 from gbid.structure.linear import Structure, evaluate
 
-# ---- Performance figures of a design at one operating point.
-
 
 @dataclass(frozen=True)
 class PointAssessment:
@@ -498,7 +496,7 @@ def _conditions(assessment: Assessment) -> tuple[object, ...]:
     return points, assessment.impact, timing, assessment.method
 
 
-# ---- Tuned designs and their performance, as they are stored.
+# ---- Tuned designs and their performance, as stored.
 
 _VERDICTS = ("stable", "sampled_stable", "exceeds_travel")
 
@@ -672,7 +670,7 @@ class TunedDesign(hdf5.InFile):
         return [*assessment_tables(named), *design_tables(named)]
 
 
-# ---- Tables of tuned designs: side by side, what the tuning reached, and the conditions in words.
+# ---- Tables of tuned designs: comparison, tuning results, and conditions.
 
 _HOLDS: Mapping[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
 NO_IMPACT = "disc and stack under an impact left out: moving mass not known (machine: moving_mass_kg)"

@@ -23,8 +23,6 @@ from gbid.identify.problem.assemble import assemble, build_problem, full_start
 from gbid.identify.problem.hessian import in_one_window
 from gbid.identify.uncertainty.covariance import Estimate, covariance, mode_slopes
 
-# ---- Responses and sensitivities of the predictions at spectral lines: the information of a periodic excitation.
-
 _NOISE_LINES = 2048  # of the integral over the frequencies of the noise's own information
 
 
@@ -358,7 +356,7 @@ def _inverse(information: FloatArray) -> FloatArray | None:
     return np.asarray(root @ root.T)
 
 
-# ---- Covariance to be expected of a fit to a recording that does not exist yet, by the sums of the fit itself.
+# ---- Expected covariance of a fit to a planned recording, by the equations of the fit.
 
 _SEED = 20260  # of the errors of the simulated recording; the information hardly depends on them
 

@@ -81,9 +81,6 @@ def _moved(value: FloatArray, slope: FloatArray | None, acting: list[int], steps
     return result
 
 
-# ---- Model for which an excitation is designed: a structure at known parameters, and the noise of its outputs.
-
-
 @dataclass(frozen=True, eq=False)
 class KnownModel(Brief):
     """Structure with known parameters and output noise, for which an expected covariance is computed.

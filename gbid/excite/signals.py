@@ -266,7 +266,7 @@ def _root(matrices: ComplexArray, power: float) -> ComplexArray:
     return np.asarray((vectors * values[:, None, :]) @ vectors.conj().transpose(0, 2, 1))
 
 
-# ---- Use of the limits: the largest value of each limited signal over its limit.
+# ---- Use of the limits: largest value of each limited signal over its limit.
 
 _SEEN = 1e-4  # lines of the disc below this part of its largest one do not count in other machines
 IN_MACHINES = "clearance in all machines"
@@ -482,7 +482,7 @@ def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray)
     return np.array(at, dtype=np.int64), np.array(amplitude)
 
 
-# ---- PRBS: hold, register and taps by the criterion of a design, amplitude by the limits.
+# ---- PRBS: hold, register and taps chosen by the design criterion, amplitude by the limits.
 
 _REGISTERS = range(4, 15)
 _HOLDS = 10  # tried between a sample and a half period of the slowest mode

@@ -51,8 +51,6 @@ from gbid.identify.table import FitTable, TableEntry, csv_table, tabulate
 if TYPE_CHECKING:
     from distributed import Client
 
-# ---- Shards: parts of a campaign for the jobs of an array, without a scheduler between them.
-
 
 @dataclass(frozen=True)
 class Shard:
@@ -142,8 +140,6 @@ def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
     early = [stage for stage in registry.STAGES if stage.early]
     return [(stage, [item for item in stage.work(job) if isinstance(item, Task)]) for stage in early]
 
-
-# ---- Lock of a results folder: one runner at a time, or several shards of one campaign.
 
 NAME = ".gbid.lock"
 
@@ -327,9 +323,6 @@ def _without_input(task: Task, failed: Mapping[str, Outcome]) -> Outcome | None:
     return task.failed(Failure(task.key, "input", f"its input is missing: {source.item.stage} {source.item} failed"))
 
 
-# ---- Files that a results folder can do without.
-
-
 def stale_files(results: Path, everything: bool = False, kernels: Path | None = None) -> list[Path]:
     """Return temporary files of processes that are gone, and records of failures.
 
@@ -371,8 +364,6 @@ def remove(results: Path, files: Sequence[Path]) -> None:
         with contextlib.suppress(OSError):  # not empty
             folder.rmdir()
 
-
-# ---- Table of all fits of a campaign.
 
 TABLE = "table"
 NOT_MADE = "not made yet; run `gbid batch`"

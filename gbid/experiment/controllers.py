@@ -439,7 +439,7 @@ def chain_options(experiment: Experiment) -> export.ChainOptions:
     return export.ChainOptions(**settings).on(machine_data(experiment))
 
 
-# ---- What closes the loop of impacts on the rig: sampled matrices, or the control chain in C as it is exported.
+# ---- Controller in the rig's loop: sampled matrices, or the exported control chain in C.
 
 _ZEROING_S = 0.5
 _HARMONICS = 5
@@ -482,7 +482,7 @@ def loop_of(
     return ProgramController(export.CompiledChain(chain), chain.sample_time, f"{chain.title}, compiled")
 
 
-# ---- Controllers of recordings in closed loop: which one the YAML means, its gains, and its content key.
+# ---- Controllers of recordings in closed loop: controller named in the YAML, its gains, and its content key.
 
 RIG = "rig"
 """What a loop without controller and structure means: the controller of the rig's recordings."""

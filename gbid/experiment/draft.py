@@ -42,7 +42,7 @@ from gbid.recording.quality import BLOCK, FEW_LEVELS, speed_change, turning_incr
 from gbid.recording.readers import FileChannel
 from gbid.recording.roles import ROLES, Roles, column_lines, find_roles
 
-# ---- What a user says about a folder of measured files, and the questions that remain.
+# ---- Answers of the user about a folder of measured files, and the open questions.
 
 QUESTIONS = {
     "u": "columns of the piezo positions, x then y, with a comma between",
@@ -207,7 +207,7 @@ class DraftOptions:
         return self.text if kind is not None and kind.layout is not None else None
 
 
-# ---- Survey of a folder of measured files: their channels, and how they are read.
+# ---- Survey of a folder of measured files: channels and mappings.
 
 
 @dataclass(frozen=True, eq=False)
@@ -481,7 +481,7 @@ def _as_variable(name: str) -> str:
     return re.sub(r"[^\w.]", "_", name)
 
 
-# ---- What the recordings of a folder say about an experiment: operating points, kinds, junk, and harmonics of run-out.
+# ---- Information in the recordings of a folder: operating points, kinds, unusable files, harmonics of run-out.
 
 STILL = 0.5e-6
 """Largest movement of r and u at rest [m], as for `gbid.identify_runout`."""

@@ -77,9 +77,6 @@ def _end_with_runner() -> None:
         os._exit(1)
 
 
-# ---- Forms of job and task for other processes: without positions and reporter, with absolute paths.
-
-
 def bare_job(job: Job) -> Job:
     """Return a job that can be sent to other processes: absolute paths, no YAML positions, no reporter."""
     experiment = job.experiment
@@ -316,7 +313,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-# ---- Dask engine: workers of a cluster, which must see the results folder under the same path.
+# ---- Dask engine: workers of a cluster, which must see the results folder under an equal path.
 
 _DASK_PATIENCE = 10.0  # longest time for a scheduler to answer [s]
 _JOURNEYS, _LARGEST = 20, 16  # submissions per thread, for many tasks; largest number of tasks in one

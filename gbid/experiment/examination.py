@@ -27,7 +27,7 @@ _LITTLE = 1e9  # free space below which a campaign may not fit [bytes]
 
 
 class Verdict(Enum):
-    """Assessment of a finding: good, usable with restrictions, or missing."""
+    """Assessment of a finding: good, good with a note, or bad."""
 
     GOOD = "good"
     NOTE = "note"

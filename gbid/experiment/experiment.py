@@ -78,7 +78,7 @@ class FoundFiles:
 
 
 def find_files(section: ImportSection, base: Path) -> FoundFiles:
-    """Return the recordings of an import section: listed ones first, then those of folder and table.
+    """Return the recordings of an import section: listed ones first, then files of the folder and rows of the table.
 
     Parameters
     ----------
@@ -555,7 +555,7 @@ Check = Callable[[Experiment], Found]
 """Type of a check: it yields the problems of an experiment. It is silent about values that are missing elsewhere."""
 
 
-# ---- Model and controller files of an experiment that were changed after gbid wrote them.
+# ---- Model and controller files that were changed after gbid wrote them.
 
 
 def changed_files(experiment: Experiment) -> list[str]:
@@ -580,7 +580,7 @@ def _named(value: Any) -> Iterator[str]:
             yield from _named(each)
 
 
-# ---- Plan of a fit: its models and the recordings of each.
+# ---- Plans of a fit and of its validation: models, and the recordings of each model.
 
 TOGETHER = "together"
 """Name of the one model of a fit to all its recordings together."""
@@ -601,8 +601,6 @@ def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
     """Return the recordings to which a model of a fit is fitted."""
     return fit_models(experiment, fit)[model]
 
-
-# ---- Plan of a cross-validation: pairs of model and recording (paper, Sec. 3.8).
 
 SPECIAL = ("cyclic", "others", "point")
 """Words for the recordings of a cross-validation."""

@@ -199,8 +199,6 @@ def made_maps(job: Job) -> tuple[RunoutMap, ...]:
     return tuple(runout_map for runout_map in maps if runout_map is not None)
 
 
-# ---- Writing of the exported files.
-
 _WORDS = {
     "ControllerDesign": "controllers",
     "LPVModel": "LPV models",

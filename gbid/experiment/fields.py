@@ -300,7 +300,7 @@ def _inner_type(kind: Any) -> Any:
     return _inner_type(forms[0]) if len(forms) == 1 and get_origin(kind) in (Union, UnionType) else kind
 
 
-# ---- Content keys: a result stays valid while its settings and its sources are the same.
+# ---- Content keys: a result is current while its settings and sources are unchanged.
 
 _KEYED_TEXT = (".csv", ".txt", ".yaml")
 _KEY = re.compile(rb"content_key: ([0-9a-f]{64})")  # in a text file a comment, in an HDF5 file before the checksum

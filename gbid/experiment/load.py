@@ -36,7 +36,7 @@ from gbid.recording import ImportMapping
 from gbid.recording.importing import Peek, peek
 from gbid.structure.kinds import kind_of
 
-# ---- Checks of an experiment across its sections: each check is a function that yields the problems it finds.
+# ---- Checks across the sections of an experiment: each check is a function that yields problems.
 
 
 def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str]]:

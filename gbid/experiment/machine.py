@@ -102,9 +102,6 @@ def outside_domain(domain: lpv.Domain, name: str, point: Place, where: Location)
             yield (*where, key), text
 
 
-# ---- Machine and arguments of `gbid.rig.record` from the rig section of an experiment.
-
-
 def machine_at(experiment: Experiment, planned: PlannedRecording) -> Machine:
     """Return the rig at the operating point of a recording, before random scatter.
 

@@ -24,8 +24,6 @@ from gbid.recording import Recording
 from gbid.recording.quality import ProblemKind, find_problems
 from gbid.recording.recording import load_recording
 
-# ---- File and mapping of an imported recording.
-
 
 def mapping_of(entry: ImportedSection) -> dict[str, Any]:
     """Return an import entry as the mapping for `gbid.import_recording`."""

@@ -115,9 +115,6 @@ class LoopSection(ControllerChoice):
     beside: Text | None = None
 
 
-# ---- Schema of the rig section; names, units and defaults are those of `gbid.rig`.
-
-
 class RigPart(OptionsSection, frozen=True):
     """Section whose keys are the fields of a dataclass of `gbid.rig`, which refuses values that do not fit."""
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from gbid.control.tuning.problem import SearchStep
     from gbid.identify import Progress
 
-# ---- Outcome of a task.
-
 State = Literal["made", "kept", "failed", "missing", "stale"]
 Cause = Literal["", "input", "data", "usage", "defect", "crash"]
 
@@ -77,9 +75,6 @@ class Made:
     fit_percent: float = math.nan
 
 
-# ---- Reporter: receiver of the progress of a run.
-
-
 class Reporter:
     """Receiver of the progress of stages; this base class ignores all events."""
 
@@ -100,9 +95,6 @@ class Reporter:
 
     def end(self, outcome: Outcome) -> None:
         """Receive the outcome of an item."""
-
-
-# ---- Job and tasks: the part that all stages share.
 
 
 @dataclass(frozen=True)
@@ -256,9 +248,6 @@ def cause_of(error: GbidError) -> Cause:
     if isinstance(error, InputError):
         return "input"
     return "usage" if isinstance(error, UsageError) else "data"
-
-
-# ---- Execution of tasks: one task, or all tasks of a stage on an engine.
 
 
 def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
@@ -429,8 +418,6 @@ class InTurn:
         """Do nothing, because there are no workers."""
 
 
-# ---- View of a stage: its JSON document for programs, and tables of it for people.
-
 Document = Mapping[str, Any]
 
 
@@ -464,8 +451,6 @@ def outcomes_view(stage: str, key: str) -> View:
 
     return View(document, tables)
 
-
-# ---- Stage of an experiment: a section of the YAML, its checks, and the tasks that make its results.
 
 Work = Sequence[Task | Outcome]
 """Tasks to run, and outcomes of items for which no task is possible."""

@@ -67,9 +67,6 @@ class CrossvalSection(Section):
     residuals: Literal["pairs", "models", "none"] | None = None
 
 
-# ---- Schema of the impacts section: hammer impacts on the rig, in open and closed loop.
-
-
 class HammerTrain(Section):
     """Impacts along each axis, and how their ring-downs are fitted.
 
@@ -102,8 +99,6 @@ class ImpactsSection(HammerTrain):
     operating_points: Places
     loops: Annotated[tuple[Literal["open", "closed"], ...], Field(min_length=1)] = ("open", "closed")
 
-
-# ---- Schema of the cycle section.
 
 MOST_ROUNDS = 5
 
@@ -141,9 +136,6 @@ class CycleSection(Section):
     impacts: Annotated[TrialSection, BeforeValidator(given)] = TrialSection()
 
 
-# ---- Schema of the excite section; names and defaults are those of `gbid.design_excitation`.
-
-
 class ExciteLimitsSection(Section):
     """Limits of an excitation; see `gbid.excite.ExcitationLimits`.
 
@@ -171,8 +163,6 @@ class ExciteSection(Section):
     limits: ExciteLimitsSection
 
 
-# ---- Schema of the figures section.
-
 Format = Literal["png", "pdf", "svg"]
 
 
@@ -187,9 +177,6 @@ class FigureSection(Section):
     residuals: Switch = False
     bode: Switch = False
     formats: Annotated[tuple[Format, ...], Field(min_length=1)] = ("png",)
-
-
-# ---- Schema of the fits section: all options of `gbid.fit` and `gbid.fit_multistart`.
 
 
 class StructureOptions(Section):
@@ -292,8 +279,6 @@ class FitSection(OptionsSection, FitOptions, frozen=True):
     local: dict[Text, Scope] = Field(default_factory=dict)
     left_out: dict[Text, Stretches] = Field(default_factory=dict)  # type: ignore[assignment]  # in seconds
 
-
-# ---- Schema of the import section: recordings listed one by one, found by file name, or listed in a table.
 
 Kind = Literal["excited", "stationary", "staircase"]
 KINDS: dict[str, Kind] = {
@@ -416,8 +401,6 @@ class ImportSection(Section):
     table: TableSection | None = None
 
 
-# ---- Schema of the lpv section.
-
 Term = Literal["1", "P", "Omega", "Omega P", "P^2", "Omega^2"]
 
 
@@ -442,16 +425,10 @@ class LpvSection(Section):
     actuators: Text | None = None
 
 
-# ---- Schema of the nominal section.
-
-
 class NominalSection(Section):
     """Fit whose most central model is the nominal actuator; see `gbid.validate.nominal_actuator`."""
 
     fit: Name
-
-
-# ---- Schema of the prefilter section.
 
 
 class PrefilterSection(Section):
@@ -470,9 +447,6 @@ class PrefilterSection(Section):
     median: Repeats = 1
     remove_mean: Switch = True
     slow_roll: Names | None = None
-
-
-# ---- Schema of the static sections.
 
 
 class StaticSection(Section):
@@ -502,9 +476,6 @@ def wanted_signals(section: StaticSection) -> dict[str, str]:
     return {"command": section.command or "r", **source, "position": position}
 
 
-# ---- Schema of the machine section.
-
-
 class MachineSection(OptionsSection, MachineData, frozen=True):
     """Numbers of a real machine that no recording shows; see `gbid.lpv.MachineData`.
 
@@ -512,9 +483,6 @@ class MachineSection(OptionsSection, MachineData, frozen=True):
     and `clearance_m`: without them there is no control chain in C, unless the section target has its limits. A virtual
     rig and a model that comes with gbid have their own.
     """
-
-
-# ---- Schema of the target section.
 
 
 class TargetSection(OptionsSection, ChainOptions, frozen=True):
@@ -535,8 +503,6 @@ if TYPE_CHECKING:
 else:
     _Goal = Annotated[Any, Deferred(_goal_form), PlainSerializer(vars)]
 
-
-# ---- Schema of the controller section.
 
 Cap = Annotated[float, Exact(finite=True), Gt(1)]
 """Cap on the peak of S_o; it exceeds 1, the value of S_o at high frequencies."""
@@ -629,9 +595,6 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     sample_time_s: Positive | None = None
 
 
-# ---- Schema of an experiment YAML: keys, types and ranges. Checks across sections are in `checks`.
-
-
 class ExperimentFile(Section):
     """Whole experiment file."""
 
@@ -656,7 +619,7 @@ class ExperimentFile(Section):
     figures: dict[Text, FigureSection] = Field(default_factory=dict)
 
 
-# ---- Patterns of file names with conditions, such as ``p{pressure_bar:g}_n{speed_rpm:d}_{kind}.mat``.
+# ---- File names with conditions: patterns such as ``p{pressure_bar:g}_n{speed_rpm:d}_{kind}.mat``, or found by gbid.
 
 _SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _FIELD = re.compile(r"\{(?P<name>[^{}:]*)(?::(?P<kind>[^{}]*))?\}")
@@ -747,8 +710,6 @@ def _literal(text: str, part: str) -> str:
         raise UsageError(f"{text!r}: a brace has no partner; write fields as {{name}}")
     return re.escape(part)
 
-
-# ---- Operating point and kind of recordings from the names of their files, without a pattern.
 
 _UNIT_WITH_SIGNS = (
     r"(?<![^\W\d_])(?:1|u|r|revs?|tr|umdr)[\W_](?:p(?:er|ro)[\W_])?min(?![^\W\d_])|(?<![^\W\d_])min[\W_]{1,2}1(?!\d)"

@@ -33,8 +33,6 @@ from gbid.structure.kinds import AnyStructure, kind_of
 from gbid.structure.scheduling import scheduled
 from gbid.structure.user import called, checked
 
-# ---- Closed loop of a fit's structure and the controller that its section names.
-
 
 def looped(
     experiment: Experiment, structure: AnyStructure, section: LoopSection, fit: str, *, planned: bool = False

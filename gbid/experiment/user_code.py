@@ -66,8 +66,6 @@ def _once(key: tuple[str, ...], make: Callable[[], T]) -> T:
     return found
 
 
-# ---- Files whose content this user has not been told of yet.
-
 _SEEN = "seen-code"
 
 

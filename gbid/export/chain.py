@@ -30,7 +30,7 @@ from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 
-# ---- Names and texts that go into C source: checked identifiers, and comments that end where they should.
+# ---- Names and texts in C source: checked identifiers, safe comments, exact numbers.
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,49}")
 _WORDS = """
@@ -247,7 +247,7 @@ FADE_FORGETS = 16.0
 """Time of a fade over the time constant with which the states of the controller decay near its lower end."""
 
 
-# ---- Tables over pressure and speed with bilinear interpolation, as the generated source has them.
+# ---- Tables over pressure and speed with bilinear interpolation, as in the generated source.
 
 TOLERANCE = 1e-3
 """Largest error of the interpolation between nodes, as a share of the largest magnitude of an entry."""

@@ -290,7 +290,7 @@ def _sum(terms: Sequence[SumTerm], row: Sequence[float], kinds: dict[str, list[f
     return total
 
 
-# ---- Rows of the self-test of a generated chain: inputs, and what the chain in Python makes of them.
+# ---- Rows of the self-test of a generated chain: inputs, and the outputs of the chain in Python.
 
 FLOAT_TOLERANCE = 1e-3
 """Tolerance of the outputs in float, as a share of the limit of the references."""

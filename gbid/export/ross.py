@@ -30,8 +30,6 @@ from gbid.structure.built_in import PAIRS
 from gbid.structure.linear import as_names
 from gbid.structure.parameter import set_fields
 
-# ---- Import of ROSS without the messages of the packages that it loads.
-
 
 def ross_package(what: str) -> Any:
     """Return the package `ross`, imported without its messages; an error names the missing package.
@@ -155,7 +153,7 @@ def bearing_element(
     return ross.BearingElement(n=node, tag=tag, **coefficients, **frequency)
 
 
-# ---- Finite-element matrices of the lateral motion of a rotor of ROSS, without the bearings that are unknown.
+# ---- Finite-element rotor of ROSS as a structure: lateral equations, modal reduction, unknown bearings.
 
 _LATERAL = {4: (0, 1, 2, 3), 6: (0, 1, 3, 4)}  # x, y and their rotations, by the degrees of freedom of a node
 Place = tuple[int | str, str | float]
@@ -376,8 +374,6 @@ def _pair(what: str, place: Any) -> tuple[Any, Any]:
     return place[0], place[1]
 
 
-# ---- Modal reduction of a rotor whose bearings are to be varied.
-
 N_GYROSCOPIC = 4
 """Number of modes whose gyroscopic moments have static shapes of their own."""
 _DEPENDENT = 1e-10  # of the largest; below it a shape is a sum of the others
@@ -444,8 +440,6 @@ def _support(stiffness: FloatArray, shaft: FloatArray) -> float:
     direct = float(np.mean(np.diag(stiffness)))
     return direct if direct > 0 else 1e-3 * float(np.diag(shaft).max())
 
-
-# ---- Structure of a finite-element rotor of ROSS whose bearing coefficients are to be identified.
 
 _REDUCED_WELL = 0.01
 """Largest relative error of a frequency without a note: finite-element rotors and measured ones agree no better."""

@@ -24,8 +24,6 @@ from gbid.core.errors import UsageError
 from gbid.core.names import printable
 from gbid.core.tables import shown_unit
 
-# ---- Style of the figures, and how they are written. Nothing here touches pyplot, so nothing is left behind.
-
 Drawn: TypeAlias = "Figure | Axes | npt.NDArray[np.object_]"
 """What a picture function returns."""
 

@@ -45,8 +45,6 @@ from gbid.report.page import Block, Fold, Gallery, PageSection, Pictures, Shown,
 from gbid.report.read import AssessedDesign, Results, place_of
 from gbid.structure import LinearModel
 
-# ---- Pictures of a design at its worst operating point: root locus, damping map, sensitivities, impact responses.
-
 _GRID = 11
 _FACTORS = np.linspace(0.0, 1.3, 66)
 _SHOWN_S = 0.1
@@ -131,9 +129,6 @@ def _impact(
         f"{1e6 * opened.peak_p_m:.1f} µm, closed loop up to {1e6 * closed.peak_p_m:.1f} µm"
     )
     return Shown(pictures.picture(plot_impact(data), alt))
-
-
-# ---- Blocks on the results of the tuning: objective, active limits, goals, promises, notes, and the Pareto front.
 
 
 def held_back(design: TunedDesign) -> list[str]:
@@ -252,9 +247,6 @@ def _by_point(design: AssessedDesign) -> Block:
     ]
     columns = [Column("operating point"), *(Column(figure.heading, format=figure.format) for figure in shown.values())]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
-
-
-# ---- Sections on the cycle, on impacts, and on recordings in closed loop.
 
 
 def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:

@@ -12,8 +12,6 @@ from matplotlib.patches import Circle, FancyBboxPatch
 
 from gbid.report.canvas import BLACK, TWO_COLUMNS, one_panel, styled
 
-# ---- Elements of block diagrams: blocks, sums, wires and labels.
-
 Point = tuple[float, float]
 FILL, TINT = "#ffffff", "#e3edf5"
 _LINE = 0.9

@@ -17,8 +17,6 @@ from gbid.core.errors import UsageError
 from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 from gbid.report.read import place_of
 
-# ---- Responses of the disc to an impact, with the force (paper, Figs. 22 to 27).
-
 _MICROMETRES = 1e6
 
 

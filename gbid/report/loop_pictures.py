@@ -170,9 +170,6 @@ def _damping_curve(panel: Axes, data: DampingMap, *, over_speed: bool) -> None:
     panel.set_title(", ".join(filter(None, (data.title, fixed))), loc="left", pad=6)
 
 
-# ---- Root locus: poles over a factor on the gains.
-
-
 @dataclass(frozen=True, eq=False)
 class RootLocus(Brief):
     """Poles of a closed loop for a factor on the controller gain.
@@ -278,8 +275,6 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
     ax.set(xlabel="real part / 2π [Hz]; dashed: equal damping factor", ylabel="imaginary part / 2π [Hz]")
 
 
-# ---- Magnitudes over frequency: sensitivities and Bode magnitudes of the loop (paper, Figs. 20 and 21).
-
 _RANGE_DB = 90.0
 
 
@@ -336,9 +331,6 @@ def plot_magnitudes(
     letter(flat)
     legend_above(figure, axes, title=title)
     return axes
-
-
-# ---- Pareto front of robustness and damping.
 
 
 def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
@@ -459,9 +451,6 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
     return panel
 
 
-# ---- Price of robustness: what designs promise over the probability with which it holds.
-
-
 @styled
 def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = None) -> Axes:
     """Draw the objective that robust and nominal designs reach with each probability.
@@ -501,8 +490,6 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     panel.legend(loc="best")
     return panel
 
-
-# ---- Identification-for-control cycle: damping and certainty over the rounds.
 
 _INTERVAL = 1.96  # standard deviations of an interval of 95 %
 _APART = 0.06  # of the points of one round, so that their intervals do not cover each other

@@ -81,9 +81,6 @@ def plot_actuator_parameters(nominal: NominalActuator, ax: Sequence[Axes] | None
     return axes.reshape(3, 2)
 
 
-# ---- Histograms of the cross-validation fit (paper, Figs. 9 and 10).
-
-
 @styled
 def plot_fit_histogram(summary: ValidationSummary, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw histograms of the cross-validation fit with mean and standard deviation (Figs. 9, 10).
@@ -117,9 +114,6 @@ def plot_fit_histogram(summary: ValidationSummary, ax: Sequence[Axes] | None = N
     axes[0].set_ylabel("pairs")
     letter(axes)
     return axes
-
-
-# ---- Staircases and hysteresis of single piezos, with and without PD control (paper, Figs. A.28 and A.29).
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,9 +251,6 @@ def piezo_data(
     return PiezoStaircase(curve, recording.time, recording.signal(command)[:, source], y)
 
 
-# ---- Signals of a recording over time, a panel for each signal.
-
-
 @styled
 def plot_recording(
     recording: Recording,
@@ -315,8 +306,6 @@ def plot_recording(
         figure.align_ylabels(axes)
     return axes
 
-
-# ---- Figure of a residual test: autocorrelations, and cross-correlations with the inputs (paper, Sec. 3.8).
 
 _INSIDE, _OUTSIDE, _BAND = "#4d4d4d", "#d55e00", "#dbe9f4"
 _ROW_INCHES, _FRAME_INCHES, _NARROWEST = 1.3, 1.25, 4.2
@@ -392,8 +381,6 @@ def _say(ax: Axes, text: str) -> None:
         0.98, 0.96, text, transform=ax.transAxes, horizontalalignment="right", verticalalignment="top", fontsize=7.5
     )
 
-
-# ---- Measured and simulated outputs, with the inputs below (paper, Fig. 7).
 
 # A thin dark dashed line on a thick light line: they differ also in grey.
 _MEASURED: dict[str, Any] = {"color": "#9e9e9e", "linewidth": 2.6, "linestyle": "-"}
@@ -508,9 +495,6 @@ def _title(validation: Validation) -> str:
     if validation.fitted_to == (validation.recording,):
         on = f"model of {model} on its own recording"
     return f"{point}: {on}" if point else on
-
-
-# ---- Static map from piezo positions to disc position (paper, Fig. 5).
 
 
 @styled

@@ -55,8 +55,6 @@ from gbid.report.canvas import (
 )
 from gbid.structure import LinearModel
 
-# ---- Logarithmic axis of frequencies with plain numbers.
-
 
 def frequency_axis(ax: Axes, low: float, high: float) -> None:
     """Set the limits of a logarithmic frequency axis [Hz], with readable ticks for short and long ranges."""
@@ -66,8 +64,6 @@ def frequency_axis(ax: Axes, low: float, high: float) -> None:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
 
-
-# ---- Models of a figure: one or several, with their labels.
 
 Sources = ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
 """A `LinearModel` or `FitResult`, several of them, or several by label."""
@@ -310,9 +306,6 @@ def _within_decades(magnitude: FloatArray) -> tuple[float, float]:
     return (0.01 * float(positive.min()), 100 * float(positive.max())) if len(positive) else (1e-300, 1e300)
 
 
-# ---- Campbell diagram: natural frequencies over speed with their uncertainty, and the orders of the rotation.
-
-
 @dataclass(frozen=True, eq=False)
 class Campbell(Brief):
     """Natural frequencies of models over speed, for a Campbell diagram.
@@ -461,8 +454,6 @@ def plot_campbell(
     return axes
 
 
-# ---- Sensitivity of the axes of a loop over the zones of ISO 14839-3.
-
 _SHADES = {"A": 0.0, "B": 0.13, "C": 0.27, "D": 0.45}  # opacity of a grey, on any background
 
 
@@ -536,8 +527,6 @@ def plot_orders(orders: SubspaceOrders, ax: npt.ArrayLike | Axes | None = None) 
     axes[1].set_title(f"chosen: {orders.order}", loc="right")
     return axes
 
-
-# ---- Orbit of a shaft: its two displacements against each other, and the mean over its revolutions.
 
 _SECTORS = 90  # of a revolution, for its mean
 
@@ -645,8 +634,6 @@ def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: 
     return axes
 
 
-# ---- Poles and zeros of models with confidence ellipses.
-
 _MARKS = (("x", "o"), ("+", "s"), ("1", "^"), ("2", "D"), ("3", "v"))  # poles and zeros of each model
 
 
@@ -720,8 +707,6 @@ def _ellipses(axes: Axes, places: ComplexArray, covariance: FloatArray, level: f
             axes.plot(place.real + edge[:, 0], place.imag + edge[:, 1], color=color, linewidth=0.8)
 
 
-# ---- Profile likelihoods of parameters.
-
 _HIGHEST = 1.6  # of the threshold, at the top of a panel
 
 
@@ -767,9 +752,6 @@ def plot_profile(
     axes[0].set_ylabel("likelihood ratio")
     legend_above(figure, axes)
     return axes[: len(each)]
-
-
-# ---- Step and impulse responses of models with confidence bands.
 
 
 def response_data(

@@ -155,9 +155,6 @@ def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDe
     return (AssessedDesign(*about, *conditions, came=True),)
 
 
-# ---- Existing fits with the documents that tables show.
-
-
 @dataclass(frozen=True, eq=False)
 class MadeFit:
     """Existing fit with the document that tables show.
@@ -200,8 +197,6 @@ def place_of(conditions: Mapping[str, float]) -> str:
     known = {"pressure_bar", "speed_rpm"} <= set(conditions)
     return point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
 
-
-# ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.
 
 Value = TypeVar("Value")
 
@@ -266,9 +261,6 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
     return StageResults(results, missing)
 
 
-# ---- Results of an experiment: each is loaded at its first use; nothing is computed.
-
-
 @dataclass(frozen=True, eq=False)
 class Results:
     """Stored results of an experiment, each loaded at its first use; nothing is computed.
@@ -289,14 +281,10 @@ class Results:
         """Experiment of the results."""
         return self.job.experiment
 
-    # ------------------------------------------------------------ machine
-
     @cached_property
     def rig(self) -> lpv.LPVModel | None:
         """Model of the virtual rig; None for recordings of a real machine."""
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
-
-    # ------------------------------------------------------------ recordings and fits
 
     @cached_property
     def standings(self) -> tuple[Outcome, ...]:
@@ -322,8 +310,6 @@ class Results:
         made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "kept"]
         return tuple(read_fit(self.job, item.section, item.model) for item in made)
 
-    # ------------------------------------------------------------ cross-validation and nominal actuator
-
     @cached_property
     def crossval(self) -> dict[str, tuple[list[CrossvalRow], validate.ValidationSummary]]:
         """Rows and summary of each existing cross-validation, by fit."""
@@ -342,14 +328,10 @@ class Results:
             raise DataError("no section 'nominal'; add one")
         return nominal_of(self.job)[0]
 
-    # ------------------------------------------------------------ surfaces
-
     @cached_property
     def surfaces(self) -> dict[str, lpv.LPVFit]:
         """Existing surfaces over pressure and speed, by item."""
         return read_surfaces(self.job)
-
-    # ------------------------------------------------------------ static characterisation
 
     @cached_property
     def statics(self) -> StageResults[StaticMap | PiezoCurve]:
@@ -357,8 +339,6 @@ class Results:
         return read_tasks(
             self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item.section)
         )
-
-    # ------------------------------------------------------------ designs and impacts
 
     @cached_property
     def designs(self) -> StageResults[TunedDesign]:
@@ -418,8 +398,6 @@ class Results:
         names = {"open": "open loop", "closed": paper}
         return {names.get(loop, loop): study for loop, study in loops.items()}
 
-
-# ---- Report: the key of what it shows.
 
 REPORT = "report.html"
 _FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle", "loops")

@@ -234,8 +234,6 @@ def curves_script(results: Results, name: str, key: str = "") -> str:
     return f"// content_key: {key}\nFits.add({json.dumps(name)},{packed_json(curves_of(results, name))});\n"
 
 
-# ---- Measured and simulated curves of a fit, small enough for a page with hundreds of them.
-
 SAMPLES = 1200
 """Number of samples in the part shown."""
 POINTS = 600
@@ -298,8 +296,6 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
         **({"times": packed(time[part] - time[first])} if irregular else {}),
     }
 
-
-# ---- Sections of results that answer tables() and figures().
 
 _LISTED = 40
 _LONG = 12  # rows of a table that folds
@@ -402,8 +398,6 @@ def surfaces_section(results: Results, pictures: Pictures) -> PageSection | None
     return stage_section("surfaces", "Surfaces over pressure and speed", surfaces, pictures)
 
 
-# ---- Section on the data: excitation, problems of signals, corrections of the prefilter.
-
 ALIKE = 0.5
 """Correlation of the two excitations above which their effects can hardly be separated."""
 WORSE = 1e-3
@@ -489,8 +483,6 @@ def _prefilter(results: Results) -> list[Block]:
         blocks.append(Listed([f"{len(names)} of {every} recordings: {note}" for note, names in carried.items()]))
     return [*blocks, _folded(f"Prefilter, {len(rows)} channels", correction_table(rows))]
 
-
-# ---- Summary at the top of the page: warnings, numbers of results, and parts that were not done.
 
 _LEAD_S = 0.3  # of a response at the top of the page
 _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltered", "fit": "fits"}

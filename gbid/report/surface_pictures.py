@@ -208,8 +208,6 @@ def fit_over_pressure_data(fit: LPVFit, what: Quantity, *, sample_time: float = 
     )
 
 
-# ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
-
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

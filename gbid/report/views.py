@@ -248,7 +248,7 @@ VIEWS: Mapping[str, View] = {
 """By the name of the stage."""
 
 
-# ---- Summary: what an engineer looks for first, in few lines of the width of a terminal.
+# ---- Summary of a run for the terminal: modes, validation, surfaces, designs, notes.
 
 
 def summary_lines(document: Document, points: Mapping[str, str]) -> list[str]:

@@ -124,9 +124,6 @@ class Hammer(AtRest):
         return np.asarray(sum((impact.force(time) for impact in self.impacts), np.zeros((len(time), 2))))
 
 
-# ---- Stationary recording and pseudo-random binary excitation of the piezo references (paper, Secs. 3.4 and 3.5).
-
-
 def whole_samples(what: str, seconds: float, sample_time: float) -> int:
     """Return a time as a number of samples; refuse less than one sample and fractions of a sample.
 
@@ -216,9 +213,6 @@ class Prbs:
         return np.asarray(np.repeat((2.0 * levels - 1.0) * self.amplitude_m, hold, axis=0)[:n_samples])
 
 
-# ---- Given signal as references, such as a designed excitation or the file of a signal generator.
-
-
 @dataclass(frozen=True)
 class Played:
     """Given references, played from the first sample of the recording.
@@ -291,8 +285,6 @@ class Played:
         faded = np.where(at < 0, np.sin(np.pi / 2 * (at + n_settle) / max(n_settle, 1)) ** 2, 1.0)
         return np.asarray(self.values[at % len(self.values)] * faded[:, None])
 
-
-# ---- Rotation of the shaft: at constant speed, or during a run-up.
 
 RPM = np.pi / 30
 
@@ -372,8 +364,6 @@ class Turning:
         slopes = np.append(np.diff(self.speeds) / np.diff(self.times), 0.0)
         return piece, np.where(np.asarray(time) > self.times[0], slopes[piece], 0.0)
 
-
-# ---- Recording during which pressure and speed change: run-up, coast-down, pressure ramp, or any other course.
 
 _PARTS = 64  # straight pieces of a coast-down
 
@@ -487,9 +477,6 @@ class ScheduledRun:
     def turning(self) -> Turning:
         """Return the shaft angle, speed and acceleration over time."""
         return Turning(self.course.times_s, tuple(rpm * RPM for rpm in np.atleast_1d(self.course.speed_rpm).tolist()))
-
-
-# ---- Staircase references: for a pair of piezos (paper, Sec. 3.1) and for one stack (Figs. A.28, A.29).
 
 
 def up_and_down(lowest: float, step: float, n_steps: int) -> FloatArray:

@@ -18,8 +18,6 @@ from gbid.rig.film import FilmPoint
 from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
 
-# ---- Effects of a real rotor beyond Eq. 5: flexible shaft, stiffening film, whirl, noise and contact.
-
 
 @dataclass(frozen=True)
 class FlexibleMode:
@@ -152,10 +150,6 @@ class Contact:
 
     def __post_init__(self) -> None:
         check_options(self, "contact")
-
-
-# ---- Effect of the rig that a recording can be made with: additional forces on the rotor, or deviations of the
-# sensors.
 
 
 @dataclass(frozen=True, eq=False)

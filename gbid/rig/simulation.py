@@ -32,7 +32,7 @@ from gbid.rig.response import MIN_OVERSAMPLING, Forces, draw_noise, draw_whirl, 
 from gbid.rig.sensors import TURN, ProgramController, SampledController, encoder_angle, quantised, runout
 from gbid.rig.stepping import ProgramLoop, SteppedMotion, Surfaces, stepped_motion, truths_along
 
-# ---- Faults of the measuring chain that are put into recordings on purpose, to test whether they are detected.
+# ---- Faults of the measuring chain, added to recordings to test their detection.
 
 
 @dataclass(frozen=True)

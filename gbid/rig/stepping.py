@@ -21,8 +21,6 @@ from gbid.rig.piezo import ALLOCATION, N_PLAYS, PiezoStacks, pair_difference
 from gbid.rig.response import MIN_OVERSAMPLING, Forces
 from gbid.rig.sensors import LoopProgram, SampledController
 
-# ---- Constants and state of the time stepping as plain arrays.
-
 STEP, DELAY, BEARING = 21, slice(19, 21), slice(0, 12)
 """Indices of the step size, of the delays (in steps), and of K, D and B in `StepArrays.rotor`."""
 
@@ -298,8 +296,6 @@ def _linear_steps(actuator: ActuatorTruth, h: float) -> FloatArray:
     return rows
 
 
-# ---- C source of the time stepping.
-
 SOURCE = (
     FILM_SOURCE
     + """\
@@ -511,9 +507,6 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
 )
 
 
-# ---- Time stepping with a program in the loop: the program gets each sample, and its references act in the next.
-
-
 @dataclass(frozen=True, eq=False)
 class ProgramLoop:
     """Control program with the angle, speed and pressure that it measures at each sample.
@@ -571,8 +564,6 @@ def run_with_program(arrays: StepArrays, state: StepState, chunk: Chunk, loop: P
     return rows
 
 
-# ---- Rotor and bearing along a course of pressure and speed, as constants of short pieces of the time stepping.
-
 Surfaces = Callable[[FloatArray, FloatArray], Mapping[str, Any]]
 """True key parameters by name for arrays of pressures [bar] and speeds [rpm], as `gbid.LPVModel.key_parameters`."""
 
@@ -622,8 +613,6 @@ def _at(arrays: StepArrays, truth: RotorBearingTruth) -> StepArrays:
     rotor[DELAY] = truth.delay / rotor[STEP]
     return replace(arrays, rotor=rotor)
 
-
-# ---- Motion of a nonlinear machine or of a control loop by time stepping in compiled C.
 
 _CHUNK = 2000
 """Samples per chunk: the forces on the fine grid then fit into the processor cache."""

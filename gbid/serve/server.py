@@ -160,7 +160,7 @@ def _drawn(positions: Any, place: int) -> list[float | None]:
     return [finite_or_none(float(value)) for value in np.asarray(positions)[::_EVERY, place]]
 
 
-# ---- Present results of an experiment, read anew when they change.
+# ---- Present results of an experiment, read again when they change.
 
 
 _ELSEWHERE_S = 60.0

@@ -26,8 +26,6 @@ from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.delay import with_pade
 from gbid.structure.parameter import Values
 
-# ---- Parts: gains and filter of an axis, low-pass (paper, Eq. 21), sections of filters.
-
 System = tuple[Any, Any, Any, Any]
 """A, B, C, D as casadi.SX."""
 
@@ -55,8 +53,6 @@ def lowpass_filter(corner_hz: Any, order: int) -> System:
         first[0], last[order - 1] = corner, 1.0
     return corner * chain, first, last, ca.SX(1, 1) if order else ca.SX(1)
 
-
-# ---- Controllers with a filter and a low-pass per axis, from disc position p to reference r.
 
 AXES = ("x", "y")
 INPUTS = ("p_x", "p_y")

@@ -16,8 +16,6 @@ from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import OnBase, Structure, model_function
 from gbid.structure.parameter import Values
 
-# ---- Proportional controller as a linear model, from the disc position p to the piezo reference r.
-
 
 def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, order: int = 1) -> LinearModel:
     r"""Return a decentralised proportional controller with low-pass (paper, Eq. 21).

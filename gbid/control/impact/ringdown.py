@@ -446,8 +446,6 @@ class _Projector:
         return np.asarray((quiet.T @ signals.reshape(len(signals), -1)).reshape(-1, signals.shape[2]))
 
 
-# ---- Start values of a ring-down fit by a subspace method (eigensystem realisation, Juang and Pappa 1985).
-
 _BAND_HZ = 1000.0  # a higher sampling rate has little information on modes near 100 Hz
 _ROWS = 12
 
@@ -518,8 +516,6 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
     return (rate, theta) if np.isfinite(theta).all() else None
 
 
-# ---- Decays that oscillate, beside the two modes of a ring-down: a loop may have more modes that ring than two.
-
 _MOST = 2
 """Largest number of decays that oscillate."""
 _RATIOS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
@@ -564,8 +560,6 @@ def _best_rate(solved: SeparableFit) -> complex:
     options = {"maxfev": _EVALUATIONS, "initial_simplex": corners}
     return rate_of(scipy.optimize.minimize(squares, start, method="Nelder-Mead", options=options).x)
 
-
-# ---- Fit of two modes, with and without additional lags.
 
 LAGS = 3
 """Number of lags of ``"auto"`` when the data require lags."""
@@ -624,8 +618,6 @@ def fit_lags(
         raise DataError(f"{where}: no fit with {lags} lags; use fewer, or lags='auto'")
     return more
 
-
-# ---- Covariance of least squares when the residuals are correlated in time and between channels.
 
 MEMORY_S = 20e-3
 """Longest correlation time of the residuals that is taken into account [s]: two periods of the slowest mode."""

@@ -37,9 +37,6 @@ from gbid.structure import LinearModel, PiezoPair
 from gbid.structure.linear import evaluate
 from gbid.validate.simulate import fit_percent
 
-# ---- Validation of simulated impact responses, and identification of the force scale (paper, Sec. 5.1, Figs. 24 to
-# 27).
-
 _DIED_OUT = 0.01  # the response has decayed when the simulation is below this share of its largest value
 _BEFORE = 25  # samples before an impact in a figure
 
@@ -217,8 +214,6 @@ def _windows(response: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[t
     return tuple(windows)
 
 
-# ---- Impact figures: largest motion of disc and piezos and decay time, measured and simulated.
-
 OVER = 0.95
 """A response has decayed when this share of its energy has passed."""
 _QUIET = 50  # smallest number of samples between responses for an estimate of the noise
@@ -318,8 +313,6 @@ def _decay(distance: FloatArray, noise: float) -> float:
     before = energy[after - 1]
     return after - 1 + float((OVER * energy[-1] - before) / (energy[after] - before))
 
-
-# ---- Dominant modes of a ring-down: the modes of a loop that an impact excites most.
 
 Modes = tuple[tuple[float, float], ...]
 
@@ -527,9 +520,6 @@ def study_impacts(
         validations,
         tuple(impact_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
     )
-
-
-# ---- Rows of impact studies for CSV.
 
 
 def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:

@@ -109,9 +109,6 @@ def _check_fit(plant: LinearModel, controller: LinearModel) -> None:
             raise UsageError(f"{where}: {what} come in another order: {', '.join(given)} to {', '.join(taken)}")
 
 
-# ---- Smallest damping factor of a loop, continuous or sampled.
-
-
 def smallest_damping(model: LinearModel) -> float:
     """Return the smallest damping factor over all modes; 1 without oscillation, -1 for an unstable real pole.
 

@@ -248,9 +248,6 @@ def _integrates(model: LinearModel) -> bool:
     return bool((np.abs(np.linalg.eigvals(model.A) - at_rest) <= tolerance).any())
 
 
-# ---- Frequency response curves of a loop (paper, Figs. 20 and 21).
-
-
 @dataclass(frozen=True, eq=False)
 class SensitivityData(Brief):
     """Frequency responses of a loop for the figures, channel by channel.

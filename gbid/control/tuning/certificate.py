@@ -12,7 +12,7 @@ from gbid.control.tuning.plane import Cluster, eigenvalues, power_sums, true_rat
 from gbid.control.tuning.problem import ActiveFunction, ActiveFunctions, GainProblem, merit
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
 
-# ---- Choice of the eigenvalues that may meet at a better design, and return to a point where they do.
+# ---- Choice of the eigenvalues that may coalesce at a better design, and return to a point of coalescence.
 
 _NEAR = 0.5
 """Largest distance of a member from the centre, as a share of the centre's magnitude."""
@@ -257,8 +257,7 @@ def _sums(
     return spectra, sums
 
 
-# ---- Shortest convex combination of gradients of the objective, plus multiples of those of limits, bounds and
-# meetings.
+# ---- Shortest combination of gradients: convex for the objective, conic for limits, bounds and coalescence.
 
 _NO_CHANGE = 1e-10
 """Relative length of a gradient of a meeting that is rounding; its multiple would be without an end."""

@@ -232,7 +232,7 @@ class Eigensystem:
         return values[row, which], (by_row @ outer[:, :, None])[:, :, 0], second
 
 
-# ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
+# ---- Clusters of eigenvalues near coalescence, by functions of the gains that stay smooth at coalescence.
 
 _FARTHEST = 1e8
 """Angle between a subspace and the others, as a cotangent, from which on it is not determined."""

@@ -268,7 +268,7 @@ class TuneOptions(DesignOptions):
         return [best, SlowestPole(rate=max(slowest_mode, 0.0)), PeakSensitivity(self.peak_sensitivity)]
 
 
-# ---- Plants of a design: loops at any of their points, and the points with which a search starts.
+# ---- Plants of a design: loops at all operating points, and the points with which a search starts.
 
 
 FEW_LOOPS = 5
@@ -413,9 +413,6 @@ class Plants(ABC):
         return tuple(rows)
 
 
-# ---- Plants of an LPV model at operating points, with all drawn plants.
-
-
 @dataclass(frozen=True, eq=False)
 class LpvPlants(Plants):
     """Plants of an LPV model at operating points: pressure [bar] and speed [rpm].
@@ -541,8 +538,6 @@ class LpvPlants(Plants):
         places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
         return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
 
-
-# ---- Plants given as linear models: any plants with named inputs and outputs.
 
 _FIRST = 4
 
@@ -680,9 +675,6 @@ def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequen
         if name not in names:
             raise UsageError(f"model {model!r} has no {what} {name!r}; choose from {', '.join(names)}")
     return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
-
-
-# ---- Plants of a design from what a user gives: an LPV model, linear models, fits, or a list of these.
 
 
 def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: TuneOptions) -> LpvPlants | ModelPlants:

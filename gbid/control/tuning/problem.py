@@ -35,8 +35,6 @@ from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.core.hdf5 import Stored
 from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
 
-# ---- Measures: quantities of every loop that a design limits or minimises.
-
 
 @dataclass(frozen=True, eq=False)
 class LoopState:
@@ -147,9 +145,6 @@ class ExtraLimit(Measure):
         return np.asarray(np.log(self.function(family, gains) / self.limit))
 
 
-# ---- Objective and limits of a design.
-
-
 @dataclass(frozen=True)
 class Limits:
     """Objective and limits of a design; None means no limit.
@@ -191,9 +186,6 @@ class Limits:
     def has_responses(self) -> bool:
         """Whether a frequency response is limited."""
         return not self.peak_sensitivity is self.peak_control is self.static_amplification is None
-
-
-# ---- Score of a design, and the smooth functions near the worst one at a design.
 
 
 @dataclass(frozen=True)
@@ -604,9 +596,6 @@ class GainProblem:
 def rows_of(family: LoopFamily, kind: str) -> slice:
     """Return the rows of the loop outputs for one kind of response."""
     return slice(family.n_outputs, None) if kind == "control" else slice(0, family.n_outputs)
-
-
-# ---- Progress of a search for gains.
 
 
 @dataclass(frozen=True)

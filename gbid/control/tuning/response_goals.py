@@ -41,8 +41,6 @@ from gbid.core.option_types import Allowed, Finite, NotNegative, Number, Positiv
 from gbid.lpv import MachineData
 from gbid.structure import LinearModel
 
-# ---- Measure of a response over frequency: its peak over a bound, with exact gradients.
-
 
 class LoopResponse(Enum):
     """Response to a disturbance on p, as (factor on S_o, factor on the unit matrix, whether K S_o replaces S_o)."""

@@ -92,8 +92,6 @@ def lower_bound(share: float, n: int, confidence: float) -> float:
     return float(scipy.special.betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
 
 
-# ---- Robust design: the damping that holds with a stated probability, verified on fresh draws.
-
 _FRESH_SEED = 7919
 
 

@@ -20,8 +20,6 @@ from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Count, CountOrZero, check_options
 
-# ---- Order of designs: first by their limits, then by the objective.
-
 
 def better(one: Score, other: Score) -> bool:
     """Return whether a design is better than another: feasibility first, objective second."""
@@ -256,8 +254,6 @@ class LocalSearch:
         return sum(_same(one.score, best.score, self.options.agreeing) for one in finals) > 2 and self.certified(best)
 
 
-# ---- Basin hopping: random moves of a design, each with a new local search.
-
 Note = Callable[[str, LocalOptimum], None]
 
 
@@ -309,9 +305,6 @@ def _same(score: Score, other: Score, share: float) -> bool:
     return score.violation <= FEASIBLE and abs(score.value - other.value) <= share * abs(other.value)
 
 
-# ---- Random points that fill a box evenly.
-
-
 def spread_points(n: int, d: int, seed: int) -> FloatArray:
     """Return n points (n, d) that fill the unit cube evenly, with a random shift.
 
@@ -323,8 +316,6 @@ def spread_points(n: int, d: int, seed: int) -> FloatArray:
     shift = np.random.default_rng(seed).random(d)
     return np.asarray((shift + np.arange(n)[:, None] * np.sqrt(primes[:d])) % 1.0)
 
-
-# ---- Random start values of the search.
 
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 _UNIFORM = 64
@@ -409,8 +400,6 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
     return np.asarray(np.clip(result.x * unit, problem.lower, problem.upper))
 
 
-# ---- Start values on a grid, for few gains.
-
 _BOUNDING = 4
 """Largest number of loops of a family in a bound: a few far apart give nearly the bound of all."""
 _BEHIND_GAIN_GRID = 0.1
@@ -480,8 +469,6 @@ def _axis(low: float, middle: float, high: float, unit: float, n: int) -> FloatA
     return np.asarray(nodes)
 
 
-# ---- Gains from which a search can begin, and the typical rate of the loops there.
-
 _TRIED = 64
 
 
@@ -525,8 +512,6 @@ def typical_rate(families: Sequence[LoopFamily], x: FloatArray) -> float:
     sizes = sizes[sizes > 1e-9 * sizes.max()] if sizes.any() else np.ones(1)
     return float(np.exp(np.log(sizes).mean()))
 
-
-# ---- Units of the gains: by how much each gain must change to move the eigenvalues of the loops.
 
 _MOVED = 0.5
 """Movement of an eigenvalue, in units of the typical rate, that a change of one unit causes."""
@@ -601,9 +586,6 @@ def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:
         return np.inf
     distance = np.abs(after[:, :, None] - before[:, None, :]).min(axis=2)
     return float(distance.max()) / scale
-
-
-# ---- Search: start values, rungs of local searches, basin hopping.
 
 
 @dataclass(frozen=True)

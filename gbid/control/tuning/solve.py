@@ -181,7 +181,7 @@ def with_cuts(problem: GainProblem, x: FloatArray) -> GainProblem:
     return replace(problem, cuts=tuple(cuts)) if len(cuts) > len(problem.cuts) else problem
 
 
-# ---- Exchange of loops: design for some of them, find those in which the design is worse, add them, design again.
+# ---- Exchange of loops: design for some loops, find loops with a worse result, add them, design again.
 
 _MANY_LOOPS = 30
 """Largest number of loops that are designed for at once, with up to three gains."""

@@ -41,8 +41,6 @@ from gbid.core.option_types import options_of_call
 from gbid.lpv import Domain
 from gbid.structure.linear import Structure
 
-# ---- Remarks and figures of a finished design.
-
 
 def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[str, ...]:
     """Return notes on a design: unfinished fits, unstable open loops, distance to instability, the sampled loop."""

@@ -75,9 +75,6 @@ def _partner_problems(experiment: Experiment, name: str, on: Sequence[str]) -> I
             yield f"no other recording for {alone!r}{where}; name some"
 
 
-# ---- Cross-validation of one model on one recording.
-
-
 def validate_pair(job: Job, name: str, model: str, recording: str) -> validate.Validation:
     """Return the scores of one model on one recording.
 
@@ -140,8 +137,6 @@ def with_local(job: Job, name: str, result: identify.FitResult, recording: str) 
     first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
     return result.changed(model=model, model_slopes=result.model_slopes if first == other else None)
 
-
-# ---- Rows of a cross-validation, and their table in CSV.
 
 COLUMNS = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
 _LEVEL = 0.01  # significance level of the whiteness test, over all outputs
@@ -248,8 +243,6 @@ def _read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
         rows.append(CrossvalRow(fit=name, minimum_percent=minimum, **values))
     return rows
 
-
-# ---- Pairs of model and recording in the cross-validation of a fit: those possible, their content key and rows.
 
 _MANY = 200  # largest number of pairs for which the residuals of each pair are tested
 _MODELS_IN_MEMORY = 256
@@ -364,8 +357,6 @@ def _why_missing(result: Result) -> str:
         return str(error)
     return ""
 
-
-# ---- Stage of the cross-validation (paper, Sec. 3.8): models on recordings to which they were not fitted.
 
 FOLDER = "crossval"
 SUMMARY = "_summary"

@@ -35,8 +35,6 @@ from gbid.structure import KEY_PARAMETERS
 if TYPE_CHECKING:
     from gbid.control.assessment import TunedDesign
 
-# ---- Plan of the cycle: each round is an experiment of its own, for the stages of any experiment.
-
 FOLDER = "cycle"
 _LATER = ("lpv", "controller", "impacts", RECORDINGS)  # folders of the results that each round has for itself
 
@@ -140,8 +138,6 @@ def cycle_can_run(experiment: Experiment) -> Found:
             point = (q.pressure_bar, q.speed_rpm)
             yield from refusal(where, partial(model.domain.check, point, f"model {model.name!r}"))
 
-
-# ---- Rows of the cycle: certainty of the model and damping of the loop, for each round and operating point.
 
 _INTERVAL = 1.96  # standard deviations of a 95 % interval
 _STEP = 1e-3  # of the difference quotients, in standard deviations of a parameter
@@ -292,8 +288,6 @@ def modes_of_surfaces(fit: lpv.LPVFit, pressure_bar: float, speed_rpm: float) ->
     spread = slopes.T @ covariance[np.ix_(moving, moving)] @ slopes
     return mean, np.sqrt(np.diag(spread))
 
-
-# ---- Stage of the identification-for-control cycle: record in closed loop, fit and tune again, and try it by impacts.
 
 TABLE = "cycle"
 """Name of the table of all rounds."""

@@ -31,8 +31,6 @@ def excitations_have_fits(experiment: Experiment) -> Found:
                 yield ("excite", name, "fit"), f"fit {section.fit!r} has no inputs; there is nothing to excite"
 
 
-# ---- Stage of the excitations of the next recordings.
-
 FOLDER = "excite"
 _DISC = "p"
 

@@ -246,8 +246,6 @@ def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: S
         yield where, f"{name} has no parameters {', '.join(missing)}; {remedy}"
 
 
-# ---- Stage of the fits: one model per recording, or one for all recordings together.
-
 FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
 

@@ -79,9 +79,6 @@ def timing_problems(section: HammerTrain, sample_time: float, where: Location) -
         yield (*where, "impact_s"), text
 
 
-# ---- Recordings with impacts, and the model that predicts their modes.
-
-
 @dataclass(frozen=True)
 class ImpactRecording:
     """Planned recording with impacts.
@@ -145,8 +142,6 @@ def expecting_model(experiment: Experiment) -> tuple[lpv.LPVModel, str]:
     key = file_digest(source) if isinstance(source, Path) else source
     return with_actuators(lpv.load_model(source)), key
 
-
-# ---- Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling.
 
 FOLDER = "impacts"
 RECORDINGS = "impacts/recordings"

@@ -57,8 +57,6 @@ def data_can_be_read(experiment: Experiment) -> Found:
             yield here_mapping, "neither sample_time_s nor time is given; give the sample time or the time column"
 
 
-# ---- Stage that imports recordings from files.
-
 _RANGE = ("samples", "from_s", "to_s", "piece")  # keys that say which samples of a file are taken
 
 

@@ -45,9 +45,6 @@ def fit_loops_are_known(experiment: Experiment) -> Found:
             yield (*where, "beside"), "compares fits of single recordings; remove together: true, or this key"
 
 
-# ---- Stage of the designs that close the loop of recordings: they are tuned before anything is recorded.
-
-
 def early_designs(experiment: Experiment) -> list[str]:
     """Return the names of designs that control recordings and are therefore tuned first."""
     spec, names = experiment.spec, dict[str, None]()
@@ -67,7 +64,7 @@ LOOP = Stage("loop", "controller", (), loop_tasks, early=True)
 """``controller/<design>.h5`` of the designs that close the loop of recordings."""
 
 
-# ---- What a loop costs in precision: standard deviations in the loop beside those without controller.
+# ---- Loss of precision by a loop: standard deviations in closed and in open loop.
 
 FOLDER = "loops"
 _DIGITS = 2

@@ -91,8 +91,6 @@ def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, floa
     return dict(actuators)
 
 
-# ---- Surfaces of an experiment, made by `gbid.fit_lpv` from its fits.
-
 FOLDER = "lpv"
 DIRECT = "_direct"
 """Suffix of the name of the direct LPV fit."""
@@ -190,8 +188,6 @@ class Surfaces:
         values = validate.load_actuators(self._job.path("nominal", nominal.fit, ending=".yaml"))
         return {name: values[name] for name in ACTUATOR_PARAMETERS}
 
-
-# ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
 
 _MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then computed once for both files
 

@@ -60,8 +60,6 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
             yield ("prefilter",), f"{text}; add one, or write method: none"
 
 
-# ---- Stage of the prefilter (paper, Sec. 3.5): one run-out map per operating point, from its stationary recordings.
-
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
 MAP = "map {}"

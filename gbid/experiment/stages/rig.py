@@ -196,8 +196,6 @@ def _key_of(section: ControllerChoice) -> str:
     return "structure" if section.controller is None else "controller"
 
 
-# ---- Controller of the rig's recordings in closed loop, as it runs.
-
 _BINS = 720  # angles of the table that the controller subtracts
 
 
@@ -280,9 +278,6 @@ def _sections(experiment: Experiment) -> tuple[RigSection, RigLoopSection]:
     rig = needed(experiment.spec.rig, "rig")
     assert rig.loop is not None
     return rig, rig.loop
-
-
-# ---- Stage of the recordings of the virtual rig.
 
 
 def rig_tasks(job: Job) -> list[Task]:

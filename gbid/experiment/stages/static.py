@@ -47,8 +47,6 @@ def static_makes_sense(experiment: Experiment) -> Found:
                     yield (*here, key), f"recording {planned.name!r} has no signal {signal!r}; it has {signals}"
 
 
-# ---- Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): maps and curves from staircases.
-
 FOLDER = "static"
 
 

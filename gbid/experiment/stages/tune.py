@@ -159,8 +159,6 @@ def _disturbance_problems(experiment: Experiment, pattern: str) -> Iterator[str]
             yield f"recording {planned.name!r} has no signal p, only {', '.join(planned.signals)}"
 
 
-# ---- Stage of the tuned controllers (paper, Sec. 5).
-
 PUBLISHED = "published"
 """Name of the published controller in tables of designs."""
 
