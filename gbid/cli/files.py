@@ -190,7 +190,7 @@ _OF_MACHINE = {
 
 
 def _asked_machine(known: MachineData) -> MachineData:
-    """Return the machine data, completed by questions to the user."""
+    """Return the machine data, completed by answers of the user."""
     answers = {}
     for name, (question, factor) in _OF_MACHINE.items():
         if getattr(known, name) is None:

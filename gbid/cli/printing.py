@@ -30,7 +30,7 @@ def tell(text: str) -> None:
 
 
 def tell_error(text: str, word: str = "error: ") -> None:
-    """Print an error as one line of at most 500 characters; longer errors lose their middle."""
+    """Print an error as one line of at most 500 characters; the middle of a longer error is cut out."""
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     tell(f"gbid: {word}{text}")
@@ -63,7 +63,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables, each followed by an empty line; into a pipe without cutting cells."""
+    """Print tables, each followed by an empty line; in a pipe no cell is cut."""
     from rich.console import Console
 
     from gbid.core.tables import terminal_table

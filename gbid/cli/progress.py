@@ -84,7 +84,7 @@ class Tally:
             self._worst = outcome.fit_percent, outcome.item
 
     def is_named(self, outcome: Outcome) -> bool:
-        """Return whether an outcome gets a separate line: every one in short stages, else the first failures."""
+        """Return whether an outcome gets a separate line: each outcome of short stages, else the first failures."""
         if not self.many or outcome.item.stage != self.stage:
             return True
         listed = outcome.before or outcome.cause == "input"
@@ -270,7 +270,7 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
 
 @contextmanager
 def _compilations_told(say: Callable[[str], None]) -> Iterator[None]:
-    """Report compilations of this process while it waits for the compiler."""
+    """Return a context that reports compilations of this process while it waits for the compiler."""
     handler, process, logger = logging.Handler(), os.getpid(), logging.getLogger("gbid.compiled")
     handler.emit = lambda record: say(record.getMessage()) if os.getpid() == process else None  # type: ignore[method-assign]
     level = logger.level
@@ -318,7 +318,7 @@ class ProgressReporter(Reporter):
         self._show(self._label)
 
     def iteration(self, progress: Progress) -> None:
-        """Print every tenth iteration, or show each one in the bar."""
+        """Print every tenth iteration; in a bar show every iteration."""
         self._tries += progress.iteration == 0
         which = f", try {self._tries}" if self._tries > 1 else ""  # from several starts, or with several windows
         step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
@@ -327,7 +327,7 @@ class ProgressReporter(Reporter):
         self._step(f"{self._label}{which}: {where}{step}", bool(often))
 
     def search(self, step: SearchStep) -> None:
-        """Print some search steps, or show each one in the bar."""
+        """Print some steps of the search; in a bar show every step."""
         often = time.monotonic() - self._searched > SEARCH_PAUSE and not self._tally.many
         if often:
             self._searched = time.monotonic()

@@ -274,7 +274,7 @@ def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | Non
 
 
 def run_one(path: Path, options: CommonOptions, item: str) -> None:
-    """Compute one fit and its inputs, beside other processes in the results folder; see `gbid.cli.verbs.fit`.
+    """Compute one fit and its inputs while other processes may use the results folder; see `gbid.cli.verbs.fit`.
 
     Raises
     ------

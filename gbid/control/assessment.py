@@ -110,7 +110,7 @@ class PointAssessment:
         return self.plant or point_label(self.pressure_bar, self.speed_rpm)
 
     def figures(self) -> dict[str, float]:
-        """Return the figures by which designs are compared, in the order of `FIGURES`."""
+        """Return the figures for the comparison of designs, in the order of `FIGURES`."""
         return {name: figure.of(self) for name, figure in FIGURES.items()}
 
 
@@ -539,7 +539,7 @@ class DesignFigures:
         return cls(*about, np.array(points), np.array(figures), *verdicts)
 
     def at(self, row: int) -> dict[str, float]:
-        """Return the figures at one of the points, by name."""
+        """Return the figures at one operating point, keyed by figure name."""
         return dict(zip(FIGURES, map(float, self.figures[row]), strict=True))
 
     @property
@@ -568,7 +568,7 @@ class CappedDesign(NamedTuple):
 
 
 class RobustPromise(NamedTuple):
-    """Performance that a robust design reaches with a probability over random plants, beside the nominal design.
+    """Performance that a robust design reaches on random plants with a probability, compared with the nominal design.
 
     Attributes
     ----------
@@ -737,7 +737,7 @@ def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDe
 
 
 def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
-    """Return a table of the worst figures for each group of designs that were assessed alike."""
+    """Return a table of the worst figures for each group of designs with equal assessment conditions."""
     tables = []
     for group in assessed_alike(designs):
         first, *_ = group.values()

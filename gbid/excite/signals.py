@@ -468,7 +468,7 @@ def _candidates(lines: LineModel, period_s: float) -> IntArray:
 def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray) -> tuple[IntArray, ComplexArray]:
     """Return lines of one direction each: the first direction of a cross spectrum, the second one line higher.
 
-    Those that hardly inform are left out.
+    Lines with little information are left out.
     """
     values, vectors = np.linalg.eigh(cross)
     informs = values * np.einsum("fui,fuv,fvi->fi", vectors.conj(), sensitivity, vectors).real

@@ -407,7 +407,7 @@ def running_controller(
 
 
 def tuned_design(experiment: Experiment, name: str) -> str:
-    """Return the name of a design; an empty name stands for the only design.
+    """Return the name of a design; for an empty name the only design.
 
     Raises
     ------
@@ -659,7 +659,7 @@ def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
 
 
 def _as_design(section: ControllerChoice) -> ControllerSection:
-    """Return structure and options of a loop's controller as a design section, which has the required rules."""
+    """Return structure and options of a loop's controller as a design section, which checks them."""
     given = section.model_dump(include={"structure", "lowpass_hz", "order", "options"}, exclude_none=True)
     return ControllerSection.model_validate(given)
 

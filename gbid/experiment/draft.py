@@ -385,7 +385,7 @@ def _stated_units(
     units: Mapping[str, str],
     reasons: dict[str, str],
 ) -> tuple[dict[str, str], dict[str, tuple[Calibration, ...]]]:
-    """Return units and calibrations that a file mapping states; append missing ones to the reasons.
+    """Return units and calibrations in a file mapping; append the missing ones to the open questions.
 
     Parameters
     ----------
@@ -465,7 +465,7 @@ def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict
 def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...] | None:
     """Return the names of columns in a file, spelled as given or as another program writes them.
 
-    That is with the name of a structure before them, and with other signs for those that a variable cannot have.
+    Other programs put the name of a structure before a column, and replace signs that a variable name cannot have.
     """
     alike = {name: f".{_as_variable(name)}" for name in names}
     matches = [
@@ -675,7 +675,7 @@ def _notes_on_points(files: Sequence[MeasuredFile], recordings: Sequence[Recordi
 
 
 def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[list[MeasuredFile], list[str]]:
-    """Return the files with a unit of the shaft angle, guessed from the range if not stated, and a note on it.
+    """Return the files with a unit of the shaft angle, guessed from its values if not stated, and a note on it.
 
     Degrees when an angle that falls back once a turn reaches beyond one turn in radians.
     """
@@ -785,8 +785,8 @@ def _kinds(names: NamesRead, files: Sequence[DraftedFile]) -> dict[str, Kind] | 
 def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str, ...]]:
     """Return the number of harmonics of the run-out maps, and a text on the remainder at each operating point.
 
-    It is the largest number chosen at an operating point by stationary recordings on held-out data; None when no map
-    can be compared.
+    The number is the largest one chosen at an operating point by stationary recordings on held-out data; None when no
+    map can be compared.
     """
     points: dict[tuple[float, ...], list[Recording]] = {}
     for file in files:

@@ -149,7 +149,7 @@ class _Worker:
 
 
 class ProcessPool:
-    """Engine with worker processes of one BLAS thread each, running from the first task until `close`.
+    """Engine of worker processes with one BLAS thread each; they run from the first task until `close`.
 
     A runner without other threads is forked, which costs nothing. Otherwise processes are spawned, and each loads gbid.
 

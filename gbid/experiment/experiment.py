@@ -645,7 +645,7 @@ def figure_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
 
 
 def _next(experiment: Experiment, model: str, models: list[str]) -> str:
-    """Return the next recording at the operating point of a recording; empty without one."""
+    """Return the next recording at the operating point of a recording; empty after the last."""
     if model not in experiment.recordings:  # of a fit to frequency responses alone
         return ""
     point = experiment.recordings[model].point

@@ -1,6 +1,6 @@
 """Schema of the goals of a design: one section for each goal of `gbid.control`, generated from its arguments.
 
-It is imported when a YAML has goals.
+The module is imported when a YAML has goals.
 """
 
 from __future__ import annotations

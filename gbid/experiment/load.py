@@ -256,7 +256,7 @@ _STATED = 1.1  # factor for the names, units and times that files contain beside
 def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple[PlannedRecording, GbidError]]]:
     """Return the length and sample time of each recording.
 
-    Those of the rig follow from its settings. Those of files are read from the head of each file.
+    For recordings of the rig, the settings determine both; for files, the head of each file is read.
 
     Returns
     -------

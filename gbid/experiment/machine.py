@@ -329,7 +329,7 @@ def _stacks(section: ActuatorSection) -> PiezoStacks:
 def true_values(experiment: Experiment, recordings: Sequence[str], structure: AnyStructure) -> dict[str, float]:
     """Return the true values of the parameters of a structure for recordings of the rig.
 
-    They are known for recordings of the rig at one operating point and built-in structures.
+    The true values are known for built-in structures and recordings of the rig at one operating point.
 
     Parameters
     ----------

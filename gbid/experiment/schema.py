@@ -748,12 +748,12 @@ class NamesRead:
 
 
 def tokens_of(name: str) -> list[str]:
-    """Return the words, numbers and signs of a file name."""
+    """Return the words, numbers and separators of a file name."""
     return _TOKEN.findall(name)
 
 
 def read_names(files: Sequence[str]) -> NamesRead | None:
-    """Return the pattern of file names with equal words and signs and different numbers.
+    """Return the common pattern of file names with equal words and separators and different numbers.
 
     A number before ``bar`` or after ``p`` is the pressure, one before ``rpm``, ``Umin``, ``1-min`` or after ``n`` the
     speed. One word may differ between the files.

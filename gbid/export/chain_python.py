@@ -330,7 +330,7 @@ class _Drive:
 def selftest_rows(chain: Chain) -> tuple[SelfTestRow, ...]:
     """Return the rows of the self-test.
 
-    They start the chain, fade the control in, move the disc at random while pressure and speed change and the angle
+    The rows start the chain, fade the control in, move the disc at random while pressure and speed change and the angle
     counts many turns, show it a spike, a number that is none, a saturating position, a disc beyond the limit, a stuck
     sensor and the end of the control.
 

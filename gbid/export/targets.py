@@ -95,7 +95,7 @@ class ExportTarget:
 
 
 def export_target(name: str) -> ExportTarget:
-    """Return the target of a name: a target of gbid, or one that an installed package offers.
+    """Return the target of a name, from gbid or from an installed package.
 
     A package offers a target by an entry point of the group ``gbid.targets``, whose value is an `ExportTarget`.
 

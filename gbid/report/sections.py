@@ -74,7 +74,7 @@ def drawn_once(kept: Kept, name: str, stand: object, draw: Callable[[], Any]) ->
 
 
 def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection | None:
-    """Return the section on the fits: summary and details; most curves are in separate files in folder `beside`."""
+    """Return the section on the fits: summary and details; most curves are in separate files in the folder `beside`."""
     if not results.experiment.spec.fits:
         return None
     blocks: list[Block] = []
@@ -243,7 +243,7 @@ BINS = 240
 
 
 def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]:
-    """Return a section of a validation, and the range of its error over the whole recording.
+    """Return a part of a validation over time, and the range of its error over the whole recording.
 
     Parameters
     ----------

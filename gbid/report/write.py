@@ -74,7 +74,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
 
 
 def write_curves(job: Job, report: Path) -> list[Outcome]:
-    """Write the curves that are not in the report to the folder beside it; unchanged files stay.
+    """Write the curves that are not in the report to a folder next to it; unchanged files stay.
 
     Parameters
     ----------

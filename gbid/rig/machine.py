@@ -50,9 +50,9 @@ class FlexibleMode:
 class FilmStiffening:
     """Gas film whose stiffness grows with the distance from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
 
-    It is given by the deviation that a staircase shows (Sec. 3.1). Where a linear film would let the disc rest at
-    `at_m`, the disc rests short of it by `deviation_m`. The best straight line through a staircase has smaller errors.
-    The static error in the paper is below 0.95 um.
+    The stiffening is given by the deviation that a staircase shows (Sec. 3.1). Where a linear film would let the disc
+    rest at `at_m`, the disc rests short of it by `deviation_m`. The best straight line through a staircase has smaller
+    errors. The static error in the paper is below 0.95 um.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ class ActuatorTruth(Brief):
 class Unbalance:
     """Mass unbalance of the rotor: a force that rotates with the shaft.
 
-    Its acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase_rad`. It acts on x and y.
+    The acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase_rad`. It acts on x and y.
 
     Parameters
     ----------

@@ -201,7 +201,7 @@ class LoopProgram(Protocol):
 class ProgramController:
     """Feedback by a program that receives each sample in turn: software in the loop.
 
-    Its references act one sample later and are limited to the travel of the stacks, as those of `SampledController`.
+    The references act one sample later and are limited to the travel of the stacks, as with `SampledController`.
 
     Parameters
     ----------

@@ -212,7 +212,7 @@ class ControllerModelTable(FileTable):
 
     @property
     def point(self) -> Point | None:
-        """Operating point (pressure_bar, speed_rpm); None without one."""
+        """Operating point (pressure_bar, speed_rpm); None for constant gains."""
         return None if self.pressure_bar is None or self.speed_rpm is None else (self.pressure_bar, self.speed_rpm)
 
 
@@ -462,7 +462,7 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
 
 
 def _difference(file: YamlFile, design: ControllerDesign, i: int, table: ControllerFile) -> str:
-    """Return where the stored matrices differ from those computed from gains and sampling, one text per difference."""
+    """Return where the stored matrices differ from matrices computed from gains and sampling, as texts."""
     stored = table.models[i]
     point = stored.point or ()
     for what, given, expected in (

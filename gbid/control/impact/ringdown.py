@@ -324,7 +324,7 @@ class RingProblem:
     def solve(self, theta: FloatArray) -> SeparableFit | None:
         """Return the least-squares fit from given start values (Levenberg-Marquardt); None if a response overflows.
 
-        It may overflow at the start values or on the way.
+        A response may overflow at the start values or during the iteration.
         """
 
         @lru_cache(maxsize=1)

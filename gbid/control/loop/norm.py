@@ -189,7 +189,7 @@ def _vertex(gains: Callable[[FloatArray], FloatArray], best: float, w: float) ->
 
 
 def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma: float) -> FloatArray:
-    """Return angular frequencies at which a singular value may equal gamma; rounding may add wrong ones."""
+    """Return angular frequencies at which a singular value may equal gamma; rounding may add wrong frequencies."""
     R = gamma**2 * np.eye(D.shape[1]) - D.T @ D
     weighted = np.linalg.solve(R, np.hstack([B.T, D.T @ C]))
     BRB, RDC = B @ weighted[:, : len(A)], weighted[:, len(A) :]

@@ -551,7 +551,7 @@ def static_amplification(loop: Sensitivities) -> float:
 
 
 def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
-    """Return the static stiffness of the closed loop over that of the open loop, axis by axis.
+    """Return the ratio of the static stiffnesses of closed and open loop, axis by axis.
 
     A static force on the rotor (without delay and actuators) moves the open loop by :math:`p = G_f f` and the closed
     loop by :math:`S_o(0) G_f f`. The ratio is that of the diagonals, open over closed. Below 1 the closed loop is

@@ -76,7 +76,7 @@ class Meeting:
 def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
     """Return groups of clusters that may coalesce at a better design: single clusters, and several at once.
 
-    They are those of the damping or decay of all modes: the mean of a cluster says nothing of another objective.
+    The clusters are for the objectives damping and decay of all modes: the mean of a cluster has no meaning for others.
     """
     places: dict[tuple[int, int, int, complex], tuple[float, complex, float]] = {}
     near = sorted(

@@ -103,7 +103,7 @@ class Wanted(Goal):
         return replace(limits, **changed)
 
     def measures(self, plant: LinearModel) -> tuple[Measure, ...]:
-        """Return the measures of this goal: one, or one for each axis.
+        """Return the `Measure` objects of this goal: one for all axes, or one for each axis.
 
         Parameters
         ----------
@@ -322,7 +322,7 @@ class OfModes:
     whirl: Whirl = "both"
 
     def of_modes(self, name: str, limit: float, quantity: Quantity, weight: float, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of the selected modes."""
+        """Return the `Measure` of the selected modes."""
         if self.whirl != "both" and len(plant.C) % 2:
             raise UsageError(
                 f"{type(self).__name__}: whirl = {self.whirl!r} of {len(plant.C)} outputs; x and y are needed"
@@ -394,7 +394,7 @@ class MinDamping(OfModes, Wanted):
     limit: Annotated[Finite, Gt(-1), Lt(1), Allowed("a damping factor below 1")]
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of the damping factors."""
+        """Return the `Measure` of the damping factors."""
         return self.of_modes("damping of modes", self.limit, "damping", self.weight, plant)
 
 
@@ -415,7 +415,7 @@ class SlowestPole(OfModes, Wanted):
     rate: Annotated[NotNegative, Allowed("a rate of at least 0 in 1/s")]
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of the decay rates."""
+        """Return the `Measure` of the decay rates."""
         return self.of_modes("slowest pole in the band", self.rate, "decay", self.weight, plant)
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
@@ -442,7 +442,7 @@ class FastestPole(OfModes, Wanted):
     hz: Positive
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
-        """Return the measure of the pole magnitudes."""
+        """Return the `Measure` of the pole magnitudes."""
         return self.of_modes("fastest pole", self.hz, "frequency", self.weight, plant)
 
 
@@ -576,7 +576,7 @@ class RmsGoal(Wanted):
     label: ClassVar[str]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Return the measure of the rms value."""
+        """Return the `Measure` of the rms value."""
         given = self.disturbance
         if given.density.shape[1] != len(plant.C):
             raise UsageError(
@@ -650,7 +650,7 @@ class RmsControl(RmsGoal):
 def _bands(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
     """Return the edges of `_BANDS` frequency bands [Hz] and the power in each band (k, n, n).
 
-    They are narrow where there is much power, and in proportion to the frequency: within a band the density counts as
+    Bands are narrow where the power is large, and in proportion to the frequency: within a band the density counts as
     constant. They do not follow the resonances of a loop, which are integrated exactly within a band.
     """
     f = given.frequency_hz

@@ -862,9 +862,9 @@ def compiled_eigenvalues(library: Library, A: FloatArray) -> ComplexArray | None
 def compiled_eigensystems(
     library: Library, A: FloatArray, longest: float
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-    """Return eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows; None if one fails.
+    """Return eigenvalues (m, n), right eigenvectors (columns) and left eigenvectors (rows); None on failure.
 
-    Those of a defective matrix are no longer than `longest`, with right ones of length one.
+    The left eigenvectors of a defective matrix are no longer than `longest`; right eigenvectors have length one.
     """
     A, values = np.ascontiguousarray(A), np.empty(A.shape[:2], complex)
     right, left = np.empty(A.shape, complex), np.empty(A.shape, complex)

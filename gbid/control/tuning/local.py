@@ -430,7 +430,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
 
 
 def repaired(problem: GainProblem, design: LocalOptimum, options: LocalOptions = LocalOptions()) -> LocalOptimum:
-    """Return a design near a given one with smaller or no violation of limits, found with a larger penalty."""
+    """Return a design near a given design that violates the limits less or not at all, found with a larger penalty."""
     near = replace(options, radius=1e-3, iterations=40, penalty=1e3 * PENALTY, repair=False)
     again = optimise_locally(problem, design.x, near)
     return replace(again, iterations=design.iterations + again.iterations)

@@ -82,7 +82,7 @@ class ModalResponse:
     def mean_products(self, edges: FloatArray) -> ComplexArray:
         r"""Return the means of :math:`M^T \bar M` of every loop between neighbours of f + 1 frequencies [rad/s].
 
-        They are exact, however narrow a resonance is: with :math:`M = \sum_a R_a / (j w - \lambda_a) + D`
+        The means are exact, however narrow a resonance is: with :math:`M = \sum_a R_a / (j w - \lambda_a) + D`
 
         .. math:: M^T \bar M = \sum_a \frac{C_a}{j w - \lambda_a} + \Big(\cdot\Big)^H + D^T D, \quad
                   C_a = R_a^T \Big(D - \sum_b \frac{\bar R_b}{\lambda_a + \bar\lambda_b}\Big),

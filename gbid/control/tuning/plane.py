@@ -67,7 +67,7 @@ def true_frequencies(frequency: FloatArray, sample_time: float | None) -> FloatA
 
 
 def searched_frequencies(frequency: FloatArray, sample_time: float | None) -> FloatArray:
-    """Return angular frequencies in the plane of the search from true ones [rad/s]; inverse of `true_frequencies`."""
+    """Return angular frequencies [rad/s] mapped to the plane of the search; the inverse of `true_frequencies`."""
     if sample_time is None:
         return frequency
     return np.asarray(2 / sample_time * np.tan(frequency * sample_time / 2))
@@ -147,7 +147,7 @@ def _decomposed(decompose: Callable[[FloatArray], Any], A: FloatArray) -> tuple[
 
 
 def _with_gaps(parts: npt.NDArray[Any], usable: BoolArray) -> ComplexArray:
-    """Return an array for all matrices: the values of the decomposed ones, NaN for all others."""
+    """Return an array for all matrices: values of the decomposable matrices, NaN for all others."""
     if usable.all():
         return parts.astype(complex, copy=False)
     every = np.full((len(usable), *parts.shape[1:]), np.nan, complex)
@@ -156,7 +156,7 @@ def _with_gaps(parts: npt.NDArray[Any], usable: BoolArray) -> ComplexArray:
 
 
 def eigenvalues(A: FloatArray) -> ComplexArray:
-    """Return the eigenvalues (m, n) of (m, n, n) matrices, NaN for those without finite eigenvalues."""
+    """Return the eigenvalues (m, n) of (m, n, n) matrices; NaN if they are not finite."""
     if (library := kernels()) is not None and (values := compiled_eigenvalues(library, A)) is not None:
         return values
     return _with_gaps(*_decomposed(np.linalg.eigvals, A))
@@ -164,7 +164,7 @@ def eigenvalues(A: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True, eq=False)
 class Eigensystem:
-    """Eigenvalues (m, n) and eigenvectors of matrices, NaN for those without finite eigenvalues.
+    """Eigenvalues (m, n) and eigenvectors of matrices; NaN if they are not finite.
 
     The eigenvalues of a defective matrix stay as they are: a change of the matrix by rounding errors would move k
     eigenvalues that meet by the k-th root of these.
@@ -324,11 +324,11 @@ class InvariantSubspaces:
         self._schur = schur_form(loops.A[i]) if usable else None  # a comparison with NaN is false
 
     def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
-        """Return the cluster of the eigenvalues nearest to a place in the complex plane.
+        """Return the cluster of eigenvalues nearest to a point of the complex plane.
 
-        They span the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not. With the left
-        basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the power sums are
-        ``d tr N^j = j tr(N^(j-1) dN)``.
+        The eigenvalues belong to the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not.
+        With the left basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the
+        power sums are ``d tr N^j = j tr(N^(j-1) dN)``.
 
         Parameters
         ----------

@@ -258,7 +258,7 @@ class TuneOptions(DesignOptions):
         return Sampling(self.sample_time, computation, self.method)
 
     def default_goals(self, slowest_mode: float) -> list[Goal]:
-        """Return the goals of a design that names none: the objective, and with a peak of S_o the decay of all poles.
+        """Return the default goals: the objective and, with a limit on the peak of S_o, the decay of all poles.
 
         The poles shall decay at least as fast as the slowest mode of the plant does, `slowest_mode` [1/s].
         """
@@ -310,7 +310,7 @@ class Plants(ABC):
         return replace(self, sampling=None)
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at points (m, 2), all or chosen ones, without the modes that no gain moves."""
+        """Loops at all or chosen points (m, 2), without the modes that no gain moves."""
         family = self._loops(points, which)
         return family if self.box is None else with_unmoved(family, *self.box)
 
@@ -395,7 +395,7 @@ class Plants(ABC):
     ) -> tuple[tuple[str, FloatArray, float], ...]:
         """Bounds of scheduled gains at the points, as rows over the coefficients in units of their range.
 
-        They are those of the structure, or those of the constant coefficient where these reach farther.
+        The bounds are taken from the structure, or from the constant coefficient where its bounds are wider.
         """
         if not isinstance(self.structure, Scheduled):
             return ()
@@ -773,7 +773,7 @@ def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) ->
 
 
 def slowest_mode(poles: ComplexArray, unmoved: Sequence[complex] = ()) -> float:
-    """Return the slowest decay [1/s] of the oscillatory modes without the `unmoved` ones; negative if unstable."""
+    """Return the slowest decay [1/s] of the oscillatory modes outside `unmoved`; negative if unstable."""
     pairs = poles[~is_real(poles)]
     for rate in unmoved:
         other = np.abs(pairs.real + 1j * np.abs(pairs.imag) - rate) > 1e-6 * abs(rate)

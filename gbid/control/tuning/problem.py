@@ -223,7 +223,7 @@ class ActiveFunction:
 
 @dataclass(frozen=True)
 class ActiveFunctions:
-    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, and its loops."""
+    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, with its loops."""
 
     score: Score
     aim: tuple[ActiveFunction, ...]
@@ -289,7 +289,7 @@ class Evaluations:
 
     @property
     def late(self) -> bool:
-        """Whether the time of the checks has passed as well."""
+        """Whether the time reserved for the checks has passed."""
         return self.last < inf and monotonic() >= self.last
 
     def half(self) -> Evaluations:
@@ -507,8 +507,8 @@ class GainProblem:
     ) -> FloatArray:
         """Return the second derivative (d, d) of a weighted sum of functions that were active at a nearby design.
 
-        Those of peaks are at their old frequency. Other limits, means of clusters (which need a Schur form for each
-        gain), and functions without a second derivative are left out.
+        Derivatives of peaks are taken at the old frequency. Other limits, means of clusters (which need a Schur form
+        for each gain), and functions without a second derivative are left out.
 
         Parameters
         ----------
@@ -571,7 +571,7 @@ class GainProblem:
     ) -> list[tuple[str, int, Peaks, float]]:
         """Return the peaks of all limited responses: kind, family, peaks, limit.
 
-        Those lower than their limit by `room`, as log, may be missing.
+        Peaks below their limit by more than `room` (as a logarithm) may be missing.
         """
         limits, limited = self.limits, []
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):

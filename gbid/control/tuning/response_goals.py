@@ -189,7 +189,7 @@ class ResponseGoal(Wanted):
         bound_over_frequency(self.limit, f"{type(self).__name__}: limit")
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of the largest singular value."""
+        """Return the `Measure` of the largest singular value."""
         bound = bound_over_frequency(self.limit, type(self).__name__)
         return ResponseMeasure(f"{self.label} over frequency", self.response, bound, weight=self.weight)
 
@@ -259,7 +259,7 @@ class RollOff(Wanted):
     slope_db: Annotated[NotNegative, Le(200), Allowed("0 to 200 dB per decade")] = 20.0
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of the control effort above the frequency."""
+        """Return the `Measure` of the control effort above the frequency."""
         places = self.from_hz * (1 + 1e-9) * np.geomspace(1.0, 1e3, 25)
         bound = Bound(self._bound, places)
         return ResponseMeasure("roll-off of K S_o", LoopResponse.CONTROL, bound, weight=self.weight)
@@ -285,7 +285,7 @@ class StaticAmplification(Wanted):
     native = "static_amplification"
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of S_o at zero frequency."""
+        """Return the `Measure` of S_o at zero frequency."""
 
         def at_rest(hz: FloatArray) -> FloatArray:
             return np.where(hz == 0, self.limit, 1e300)
@@ -316,7 +316,7 @@ class MinDiskMargin(Wanted):
     channel: int | None = None
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
-        """Return the measure of the disk margin."""
+        """Return the `Measure` of the disk margin."""
         n = len(plant.C)
         if self.channel is not None and self.channel not in range(n):
             raise UsageError(
@@ -343,7 +343,7 @@ class AxisSensitivity(ResponseGoal):
     label = "sensitivity of an axis"
 
     def measures(self, plant: LinearModel) -> tuple[ResponseMeasure, ...]:
-        """Return a measure for each axis.
+        """Return one `Measure` for each axis.
 
         Parameters
         ----------
@@ -483,7 +483,7 @@ class PeakResponse(PathGoal):
         self.measure(None)
 
     def measure(self, plant: LinearModel | None) -> PathMeasure:
-        """Return the measure of the response."""
+        """Return the `Measure` of the response."""
         bound = bound_over_frequency(self.limit, "PeakResponse: limit")
         edges = np.array([self.low_hz * (1 + 1e-9), self.high_hz * (1 - 1e-9)])
         places = np.union1d(bound.places_hz, edges[(edges > 0) & (edges < np.inf)])
@@ -518,7 +518,7 @@ class RmsResponse(PathGoal):
     spectrum: Annotated[DisturbanceSpectrum, Allowed("DisturbanceSpectrum(frequency_hz, density)")]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Return the measure of the rms value."""
+        """Return the `Measure` of the rms value."""
         if (n := self.spectrum.density.shape[1]) != len(self.path.sources):
             raise UsageError(f"RmsResponse: the spectrum has {n} channels for {len(self.path.sources)} sources")
         return ExtraLimit(self.title("rms"), rms_under(self.spectrum, path=self.path), self.limit / self.weight)
@@ -651,7 +651,7 @@ class MinGainMargin(Wanted):
     factor: Annotated[Finite, Gt(1)]
 
     def measure(self, plant: LinearModel) -> MarginMeasure:
-        """Return the measure of the gain margin."""
+        """Return the `Measure` of the gain margin."""
         return MarginMeasure("gain margin", float(np.log(self.factor)), False, self.weight)
 
 
@@ -670,7 +670,7 @@ class MinPhaseMargin(Wanted):
     degrees: Annotated[Positive, Lt(180), Allowed("a number between 0 and 180")]
 
     def measure(self, plant: LinearModel) -> MarginMeasure:
-        """Return the measure of the phase margin."""
+        """Return the `Measure` of the phase margin."""
         return MarginMeasure("phase margin", radians(self.degrees), True, self.weight)
 
 

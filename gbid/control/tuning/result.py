@@ -191,12 +191,12 @@ class GainResult(Brief):
 
     @property
     def success(self) -> bool:
-        """Whether the design is stable, keeps all limits, and is a certified local optimum."""
+        """Whether the design is stable, satisfies all limits, and is a certified local optimum."""
         return self.status in (GainStatus.OPTIMAL, GainStatus.LOCAL_OPTIMUM)
 
     @property
     def keeps_limits(self) -> bool:
-        """Whether the design is stable and keeps all limits, with or without a certificate."""
+        """Whether the design is stable and satisfies all limits, with or without a certificate."""
         ended = self.status in (GainStatus.STALLED, GainStatus.ITERATION_LIMIT) and self.violation <= FEASIBLE
         return self.success or ended
 
@@ -293,7 +293,7 @@ class GainResult(Brief):
 def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0) -> list[Peak]:
     """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop.
 
-    Those below `least` may be too small, but take less time.
+    Norms below `least` may be too small, but take less time.
     """
     return [peak_gain(model, least=least) for model in _models(family, x, kind)]
 

@@ -73,7 +73,7 @@ class PlantDraws(Brief):
     def promised(self, probability: float, confidence: float) -> float:
         """Return the value that a plant reaches with a probability, at a confidence level, for any distribution.
 
-        It is the k-th smallest value of the draws. That a share of at least `probability` of all plants reaches it has
+        The value is the k-th smallest of the draws. That a share of at least `probability` of all plants reaches it has
         the confidence ``P(Binomial(n, 1 - probability) >= k)``. Minus infinity when there are too few draws.
 
         Parameters
@@ -129,7 +129,7 @@ class RobustDesign(Brief):
 
     @property
     def holds(self) -> bool:
-        """Whether the promised value is finite and the limits hold with the stated probability and confidence."""
+        """Whether the predicted objective is finite and the limits hold with the stated probability and confidence."""
         return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
 
     def _brief(self) -> Description:
@@ -145,7 +145,7 @@ class RobustDesign(Brief):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobustOptions(TuneOptions):
-    """Options of `tune_robust`, besides those of `gbid.tune`.
+    """Options that `tune_robust` has in addition to the options of `gbid.tune`.
 
     Attributes
     ----------
@@ -416,7 +416,7 @@ def price_of_robustness(
     probabilities: Sequence[float] = (0.5, 0.8, 0.9, 0.95, 0.98),
     **options: Any,
 ) -> PriceOfRobustness:
-    """Return robust designs for several probabilities: what robustness costs in damping.
+    """Return robust designs for several probabilities, which show the loss of damping by robustness.
 
     Parameters
     ----------

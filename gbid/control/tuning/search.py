@@ -188,9 +188,9 @@ class LocalSearch:
         return len(self.unit) not in GRID and not limited
 
     def short(self, start: FloatArray, target: float, again: bool = False) -> LocalOptimum:
-        """Improve a start by a short local search; with only eigenvalues limited, by a full one.
+        """Improve a start by a short local search; by a full search if only eigenvalues are limited.
 
-        It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
+        A repeated search (`again`) starts with shorter steps, and uses curvature and coalescence.
         """
         if self.free:
             return self.full(start)
@@ -198,7 +198,7 @@ class LocalSearch:
         return self._stable_end(start, start, replace(effort, target=target, pace=self.options.pace))
 
     def full(self, start: FloatArray, target: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
-        """Return a local optimum, or the known one to which the search leads back; stop early below a target."""
+        """Return a local optimum, or the known optimum to which the search leads back; stop early below a target."""
         if self.free:  # eigenvalues that have met creep along a curved surface; no target tells how far
             return self._stable_end(start, start, LocalOptions(iterations=2 * self.options.full))
         effort = LocalOptions(iterations=self.options.full, target=target, pace=self.options.pace, known=known)
@@ -260,7 +260,7 @@ Note = Callable[[str, LocalOptimum], None]
 def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
     """Basin hopping from the best design, then from other designs while the best one has no certificate.
 
-    It cannot where it has no certificate. One other design is moved where the moves of the best one led nowhere.
+    If no step from the best design improves it, the steps also start from one other design.
     """
     start = best_of(finals)
     others = [
@@ -308,8 +308,8 @@ def _same(score: Score, other: Score, share: float) -> bool:
 def spread_points(n: int, d: int, seed: int) -> FloatArray:
     """Return n points (n, d) that fill the unit cube evenly, with a random shift.
 
-    They are multiples of the square roots of primes (R. D. Richtmyer, "The evaluation of definite integrals, and a
-    quasi-Monte-Carlo method based on the properties of algebraic numbers", Los Alamos report LA-1342, 1951). The
+    The points are multiples of the square roots of primes (R. D. Richtmyer, "The evaluation of definite integrals, and
+    a quasi-Monte-Carlo method based on the properties of algebraic numbers", Los Alamos report LA-1342, 1951). The
     package for such points in scipy takes a second to load.
     """
     primes = [k for k in range(2, 12 * (d + 1)) if all(k % i for i in range(2, int(k**0.5) + 1))]
@@ -331,7 +331,7 @@ WIDE = 8.0
 def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: int, seed: int) -> list[FloatArray]:
     """Return random starts around the neutral gains, each moved to gains with stable loops if possible.
 
-    Their distances from the neutral gains lie between the units of the gains and the widths of the bounds, with a
+    The distances from the neutral gains lie between the units of the gains and the widths of the bounds, with a
     logarithmic distribution. So bounds that are far too wide still leave starts where loops can be stable.
 
     Parameters
@@ -409,9 +409,9 @@ _BEHIND_GAIN_GRID = 0.1
 def grid_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: int, most: int) -> list[FloatArray]:
     """Return the best points of a grid that are not neighbours, sorted by merit.
 
-    They are more than the local maxima of the grid, because along a limit the grid would miss optima. The merit in one
-    loop, without peaks, is an upper bound and cheap; the merit in some loops is a tighter one. All loops are computed
-    only where both are high enough.
+    The result has more points than the local maxima of the grid, because along a limit the grid would miss optima. The
+    merit in one loop, without peaks, is an upper bound and cheap; the merit in some loops is a tighter one. All loops
+    are computed only where both are high enough.
     """
     d = len(problem.lower)
     axes = [_axis(*row, n) for row in zip(problem.lower, neutral, problem.upper, unit, strict=True)]
@@ -445,7 +445,7 @@ def grid_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: 
 def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArray, some: list[IntArray]) -> FloatArray:
     """Return upper bounds of the merits (q,) without peaks, from one loop of each family.
 
-    It is the worst one of some loops at the neutral gains.
+    The loop is the worst of some loops at the neutral gains.
     """
     value, slow = np.full(len(designs), np.inf), np.full(len(designs), -np.inf)
     for family, own in zip(problem.families, some, strict=True):
@@ -475,7 +475,7 @@ _TRIED = 64
 def usable_start(
     families: Sequence[LoopFamily], given: Sequence[FloatArray], lower: FloatArray, upper: FloatArray, seed: int
 ) -> FloatArray:
-    """Return the first gains for which all loops have finite eigenvalues: given gains first, then random ones.
+    """Return the first gains with finite eigenvalues of all loops: among given gains, then among random gains.
 
     Raises
     ------
@@ -522,9 +522,9 @@ _HALVINGS = 6
 def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
     """Return the change of each gain that moves an eigenvalue by about the typical rate.
 
-    It is at most the width of the bounds. So bounds that are far too wide do not change where the search begins, or how
-    long its first steps are. A gain that moves nothing by itself, as those in a product with a zero, is given the
-    median of the others.
+    The change is at most the width of the bounds. So bounds that are far too wide do not change where the search
+    begins, or how long its first steps are. A gain that moves nothing by itself, as those in a product with a zero, is
+    given the median of the others.
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ def _certified(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
 def with_cuts(problem: GainProblem, x: FloatArray) -> GainProblem:
     """Return the problem with the frequencies at which exact norms exceed a limit between the grid points.
 
-    It is the same object where there are none.
+    Without such frequencies, the given problem object is returned.
     """
     if not problem.limits.has_responses or not problem.stable(x):
         return problem
@@ -307,7 +307,7 @@ def independent_searches(
 ) -> tuple[GainSolution, tuple[float, ...]]:
     """Return the best design of up to n searches with different seeds, and their values; no values for a grid.
 
-    They end early when three have found the same design, and when the budget is used up.
+    The searches end early when three have found equal designs, or when the budget is used up.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def tuned(
     options: TuneOptions,
     progress: Progress | None = None,
 ) -> GainResult:
-    """Return the gains of a controller; as `tune`, with the options as one value."""
+    """Return the gains of a controller: `tune` with its options as one value."""
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     speeds = options.speeds_rpm
     over = getattr(model, "domain", None) if not speeds else Domain((0.0, 0.0), (min(speeds), max(speeds)))

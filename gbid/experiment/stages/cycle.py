@@ -69,7 +69,7 @@ def trial_points(experiment: Experiment) -> tuple[Place, ...]:
 def round_experiment(experiment: Experiment, number: int) -> Experiment:
     """Return a round of the cycle as an experiment.
 
-    It has the recordings of the experiment and those of all rounds so far, which its fits use as well. Its surfaces,
+    A round has the recordings of the experiment and of all rounds so far, which its fits use as well. Its surfaces,
     controller and impacts lie in a folder of its own; round 0 has the surfaces and the controller of the experiment.
     """
     spec, name = experiment.spec, cycle_design(experiment)
@@ -334,7 +334,7 @@ def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
 
 
 def _in_round(number: int, work: Task | Outcome) -> Task | Outcome:
-    """Return work of a round's experiment as work of the whole experiment, named by the round."""
+    """Return work of a round's experiment as work of the main experiment, with the round in its names."""
     item = replace(work.item, stage=f"cycle {work.item.stage}", round=f"round{number}")
     if isinstance(work, Outcome):
         return replace(work, item=item)
@@ -346,7 +346,7 @@ def _write_in_round(job: Job, part: Path, number: int, write: Callable[[Job, Pat
 
 
 def first_tasks(job: Job) -> Work:
-    """Return the tasks of the impacts with the design of the experiment; a failed outcome when there is none."""
+    """Return the tasks of the impacts with the initial design; a failed outcome if the design is missing."""
     path = job.path(FOLDER, TABLE, ending=".csv")
     try:
         name = cycle_design(job.experiment)

@@ -161,7 +161,7 @@ def made_costs(job: Job) -> list[LoopCostRow]:
 
 
 def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
-    """Return the comparison rows of a fit by operating point and parameter; empty without common ones."""
+    """Return the comparison rows of a fit by operating point and parameter; empty if the fits have none in common."""
     closed_points, free_points = (_by_point(job, _converged(job, each)) for each in (name, beside))
     rows = []
     for point, closed in closed_points.items():

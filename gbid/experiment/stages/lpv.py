@@ -240,7 +240,7 @@ def read_surfaces(job: Job) -> dict[str, lpv.LPVFit]:
 
 
 def _write_uncertainty(job: Job, part: Path, item: str) -> Made:
-    """Write the uncertainty of surfaces, with the text of the model file beside it."""
+    """Write the uncertainty of surfaces with the text of the model file."""
     surfaces = Surfaces(job)
     fit = surfaces.make(item)
     with scratch_folder(part) as folder:

@@ -36,7 +36,7 @@ from gbid.structure import LinearModel
 
 
 def rig_runs(experiment: Experiment) -> Found:
-    """Yield problems of the rig's model, its operating points, and times that are not whole samples."""
+    """Yield problems of the rig's model, its operating points, and times that are no multiples of the sample time."""
     rig = needed(experiment.spec.rig, "rig")
     try:
         model = rig_model(experiment)

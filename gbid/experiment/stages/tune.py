@@ -267,7 +267,7 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[Any, control.Unc
 
 
 def _travel_goal(section: ControllerSection) -> control.PiezoTravel | None:
-    """Return the first goal on the travel of the stacks; None without one."""
+    """Return the first goal on the travel of the stacks; None if no goal limits it."""
     made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == "PiezoTravel")
     return cast("control.PiezoTravel | None", next(made, None))
 
