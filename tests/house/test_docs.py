@@ -138,7 +138,7 @@ def test_internal_links_resolve(path: Path) -> None:
             assert (path.parent / f"{name}.md").is_file()
 
 
-WORDS_AT_MOST = 40_500
+WORDS_AT_MOST = 40_000
 
 
 def words(path: Path) -> int:
