@@ -226,7 +226,7 @@ _PREFIXES = ("HDF5_EXT_PREFIX", "HDF5_VDS_PREFIX", "HDF5_EXTFILE_PREFIX")  # fol
 
 
 def _import_folders() -> list[str]:
-    """Return the import folders of this process, from which a reader process imports what it lacks.
+    """Return the folders that a reader process adds to its import path, from this process's path.
 
     The current folder and that of a script are none of them: the data may lie there.
     """

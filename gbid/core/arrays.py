@@ -1,4 +1,4 @@
-"""Array types and number checks, poles and modes, labels of operating points, threads of BLAS and solver."""
+"""Array types and number checks, poles and modes, linear recursion, operating points, threads of BLAS and solver."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REAL = 1e-9
 
 
 def is_real(poles: ComplexArray) -> BoolArray:
-    """Return whether each pole is real, so that it does not oscillate (any shape).
+    """Return whether each pole is real, hence not oscillatory (any shape).
 
     Parameters
     ----------

@@ -144,7 +144,7 @@ def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
 
 
 def _compile(compiler: Compiler, arguments: Sequence[str], library: Path, what: str, given: str = "") -> None:
-    """Run the compiler; when it fails, the error shows the first line of its output that names an error.
+    """Run the compiler; if it fails, raise an error with the first line of output that names an error.
 
     Its temporary files are beside the library: when all is killed, the next build removes them.
     """
@@ -303,7 +303,7 @@ def run_compiled(
 
 
 def _current(compiler: Compiler, flags: tuple[str, ...], source: str, library: Path) -> Library:
-    """Return the library from the cache if the file is intact and belongs to the user; else compile it."""
+    """Return the library from the cache, or compiled if the cached file is damaged or belongs to another user."""
     try:
         if library.is_file() and not why_not_trusted(library) and has_valid_checksum(library):
             return Library(str(library))

@@ -40,7 +40,7 @@ def version_of(path: str | Path) -> tuple[int, ...]:
 
 
 def known(path: Path, fact: str, read: Callable[[Path], T]) -> T:
-    """Return a fact about a file, computed once for each version of the file.
+    """Return a named fact about a file, computed once for each version of the file.
 
     Parameters
     ----------

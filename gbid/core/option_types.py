@@ -278,7 +278,7 @@ def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -
 
 
 def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
-    """Return key, value and type of the first entry that is not allowed; None when there is no such entry."""
+    """Return key, value and type of the first entry that is not allowed; None if all entries are allowed."""
     while get_origin(kind) is Annotated and not any(isinstance(mark, Allowed) for mark in get_args(kind)):
         kind = get_args(kind)[0]
     if get_origin(kind) in (Union, UnionType):

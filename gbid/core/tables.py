@@ -1,4 +1,4 @@
-"""Tables: columns with name, unit and format; renderers for CSV, HTML, Markdown and terminal.
+"""Tables: columns with name, unit and format; numbers as text; renderers for CSV, HTML, Markdown and terminal.
 
 A table contains values, not texts. The same table is printed with few digits for readers and written to CSV with all
 digits.

@@ -213,7 +213,7 @@ def residuals_line(document: Row) -> str:
 
 
 def start_line(document: Row) -> str:
-    """Return as text how many start values have which origin; start values of the user are listed by name."""
+    """Return a text with the number of start values of each origin, and the names of the user's start values."""
     rows = [row for row in document["parameters"] if not row["fixed"]]
     words = {"data": "from the data", "structure": "from the structure", "user": "given"}
     parts = []
@@ -226,7 +226,7 @@ def start_line(document: Row) -> str:
 
 
 def starts_line(row: Row) -> str:
-    """Return as text how many starts reached the smallest loss, and the minima with their losses."""
+    """Return a text with the number of starts that reached the smallest loss, and the minima with losses."""
     spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
     text = (
         f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "

@@ -85,7 +85,7 @@ _NO_ERROR = 1e-6  # of the size of an output: errors of simulated data without n
 
 
 def _dependence_notes(task: FitTask, result: FitResult) -> tuple[str, ...]:
-    """Return a note on each dependent output; none if the errors of one of them are independent."""
+    """Return a note on each dependent output; none if any of their errors is independent."""
     notes = []
     for each in task.dependent:
         weights = np.array([each.weights.get(name, 0.0) for name in task.data.output_names])

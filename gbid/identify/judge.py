@@ -283,7 +283,7 @@ class Judged:
 
     @cached_property
     def on_bound(self) -> BoolArray:
-        """Free parameters held by a bound, (n_theta,): without the bound the data would move them on."""
+        """Free parameters held by a bound, (n_theta,), which the data would move further."""
         optimum, at = self.optimum, self.estimate
         none = np.zeros(len(at.theta), bool)
         if not np.isfinite(self.residuals.products).all():
@@ -475,7 +475,7 @@ class Judged:
 
     @cached_property
     def status(self) -> FitStatus:
-        """Status of the fit: a success of the solver is no success of the fit if there is no valid estimate."""
+        """Status of the fit; success only if the solver converged to a valid estimate."""
         status = self.optimum.solution.status
         if not self.residuals.finite:
             return FitStatus.OVERFLOW

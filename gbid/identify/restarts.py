@@ -381,7 +381,7 @@ def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
 
 
 def data_start(task: FitTask) -> dict[str, float] | None:
-    """Return start values from the data alone; None if not found, or for a nonlinear structure."""
+    """Return start values from the data alone; None if the search fails or the structure is nonlinear."""
     if kind_of(task.structure).linear is None:
         return None
     try:

@@ -233,7 +233,7 @@ def _counted(problem: Shooting) -> BoolArray:
 
 
 def _samples(problem: Shooting, blocks: Sequence[FloatArray]) -> FloatArray:
-    """Return values in blocks of each part as rows of samples."""
+    """Return values given in blocks as rows of samples, over all parts."""
     parts = zip(problem.parts, blocks, strict=True)
     return np.concatenate([rows for part, values in parts for rows in part.blocks.by_segment(values)])
 

@@ -1,4 +1,4 @@
-"""Quality checks of a recording: constant, saturated, dead and swapped channels, rub, encoder and clock."""
+"""Quality checks of recordings: constant, saturated, dead and swapped channels, rub, encoder, clock and speed."""
 
 from __future__ import annotations
 
@@ -302,7 +302,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def _unexplained(rec: Recording, p: FloatArray, half: int) -> tuple[npt.NDArray[np.int_], FloatArray, FloatArray]:
-    """Return samples, unexplained velocity changes (n, 2), and their standard deviation (n,)."""
+    """Return samples, velocity changes (n, 2) not explained by the equation of motion, and their deviation (n,)."""
     k = np.arange(half - 1, rec.n_samples - half + 1)
     weighted, basis = _weak_form(rec, p, half)
     sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]

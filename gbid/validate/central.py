@@ -1,4 +1,4 @@
-"""Nominal actuator: the most central of many models, and outliers among them (paper, Sec. 3.7, Fig. 8)."""
+"""Nominal actuator (most central of many models) with outliers, its file, and the CSV summary of a validation."""
 
 from __future__ import annotations
 

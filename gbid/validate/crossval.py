@@ -1,4 +1,4 @@
-"""Cross-validation: simulation of models on recordings to which they were not fitted (paper, Sec. 3.8)."""
+"""Cross-validation (paper, Sec. 3.8): simulation on recordings not used in the fit, scores, and their summary."""
 
 from __future__ import annotations
 

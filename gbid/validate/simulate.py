@@ -1,4 +1,4 @@
-"""Simulation of a model on recordings, from the initial state that is closest to the measured outputs."""
+"""Simulation of models on recordings, from an estimated initial state; validation data and fit percent."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _COMPRESSED = 10_000  # smallest number of values in a compressed dataset
 
 
 class DamagedError(DataError):
-    """An entry is missing or of the wrong type; `gbid.core.hdf5.reading` adds the file and what to do."""
+    """Missing entry, or entry of the wrong type; `gbid.core.hdf5.reading` completes the message."""
 
 
 def add_dataset(
@@ -72,7 +72,7 @@ _space_of = lru_cache(h5py.h5s.create_simple)
 
 @cache
 def _types_of(dtype: np.dtype[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5t.TypeID]:
-    """Return file type and memory type of values, cached: creating them takes a third of the time of a write."""
+    """Return file type and memory type of values, cached: their creation takes a third of the time of a write."""
     return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
 
 

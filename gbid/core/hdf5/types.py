@@ -237,7 +237,7 @@ class DataclassGroup:
 
 @dataclass(frozen=True)
 class Inline:
-    """Codec of a dataclass whose fields are stored beside those of the value that contains it."""
+    """Codec of a nested dataclass whose fields are stored in the group of the outer value."""
 
     record: DataclassGroup
 
@@ -275,7 +275,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Numbered:
-    """Codec of a tuple of values, or of a mapping to them: entries 0000, 0001 and so on of a group."""
+    """Codec of a tuple, or of a mapping to values: entries 0000, 0001 and so on in a group."""
 
     each: Codec
     named: bool

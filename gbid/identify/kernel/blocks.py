@@ -1,4 +1,4 @@
-"""Shooting windows of records, cut into blocks of equal length that run in parallel lanes."""
+"""Shooting windows of records, cut into blocks that run in parallel lanes; results of a pass."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class Blocks:
 
     @cached_property
     def followed(self) -> IntArray:
-        """Blocks that are not the last of their window."""
+        """Blocks with a next block in their window."""
         return np.setdiff1d(np.arange(self.n_blocks), self.window_first) - 1
 
     @cached_property

@@ -105,7 +105,7 @@ def _step(v: PredictorValues, x: FloatArray, z: FloatArray) -> _Step:
 
 
 def _times(matrix: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return products of one matrix, or of a matrix for each row, with the rows of (W, n)."""
+    """Return the product of one matrix, or of a matrix for each row, with each row of (W, n)."""
     return np.asarray(rows @ matrix.T if matrix.ndim == 2 else (matrix @ rows[:, :, None])[:, :, 0])
 
 

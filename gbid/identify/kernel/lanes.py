@@ -149,7 +149,7 @@ _ARGUMENTS = "const v *restrict a, const v *s, const v *restrict b, v *r"
 
 
 def product_source(functions: SampleFunctions) -> str:
-    """Return C code that places Jacobians, multiplies columns by them, and feeds errors back."""
+    """Return C code that copies Jacobians to dense columns, multiplies columns by them, and adds error feedback."""
     by_start, by_state, by_theta = (functions.output_jacobian.sparsity_out(i) for i in (3, 4, 5))
     of_step, of_input = (functions.step_jacobian.sparsity_out(i) for i in (1, 2))
     F, G, C, D, X = (_pattern(each) for each in (of_step, of_input, by_state, by_theta, by_start))

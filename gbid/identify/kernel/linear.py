@@ -317,7 +317,7 @@ class KernelPattern(NamedTuple):
         return KernelPattern(*(mine | theirs for mine, theirs in zip(self, other, strict=True)))
 
     def live(self, i: int) -> BoolArray:
-        """Return which states ever depend on parameter `i`, given that no initial state does, (n,)."""
+        """Return which states can depend on parameter `i`, for a start that does not, (n,)."""
         return reached(self.F, self.dF[i].any(axis=1) | self.dG[i].any(axis=1))
 
 

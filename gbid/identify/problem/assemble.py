@@ -177,7 +177,7 @@ def segments_of(
 
 
 class Member(NamedTuple):
-    """Segment of a record with its predictor; `columns` and `tie` as `index` and `tie` of `RecordGroup`."""
+    """Segment of a record with its predictor; for `columns` and `tie` see `index` and `tie` of `RecordGroup`."""
 
     record: int
     segment: Segment
@@ -495,7 +495,7 @@ def automatic_window(data: FitData, focus: Focus, n_states: int) -> int:
 def full_start(
     assembly: Assembly, begin: Mapping[str, float], own: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, float]:
-    """Return start values by full name; `own` has values for each record."""
+    """Return start values by full name; `own` are values of each record that replace common ones."""
     full = dict(begin)
     for i, names in enumerate(assembly.record_names):
         known = {**begin, **(own[i] if own else {})}

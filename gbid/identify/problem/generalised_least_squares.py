@@ -272,7 +272,7 @@ def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArr
 
 
 def _likelier(minimum: _Descended, other: _Descended, chance: float) -> _Descended:
-    """Return the better of two minima: the other one must be better by more than chance, or alone converged."""
+    """Return the better of two minima; the second must be better by more than chance, or the only converged one."""
     better = other.score > minimum.score + chance if minimum.status.success else True
     iterations = minimum.iterations + other.iterations
     return (other if other.status.success and better else minimum)._replace(iterations=iterations)
@@ -347,7 +347,7 @@ def _scanned(task: WeightedProblem, minimum: _Descended, enough: float) -> list[
 
 
 def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) -> list[FloatArray]:
-    """Return points along which the frequency of a mode changes step by step; fewer at a bound."""
+    """Return points with the frequency of a mode changed step by step; the steps end at a bound."""
     lower, upper = task.bounds
     n, points = task.shooting.n_theta, list[FloatArray]()
     size = task.shooting.theta_scale**2

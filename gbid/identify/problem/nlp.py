@@ -45,7 +45,7 @@ class RecordGroup:
     tie: FloatArray | None = None
 
     def own(self, theta: FloatArray) -> FloatArray:
-        """Return the values of the predictor's parameters from parameters of the problem."""
+        """Return the predictor's parameter values for given parameters of the problem."""
         return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
 
     @property
@@ -228,7 +228,7 @@ class ExtraTerms:
         return ExtraValues(float(value.item()), gradient.ravel(), hessian, rows.ravel() / self.size, slopes)
 
     def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Hessian of the constraints, weighted by multipliers, (n_used, n_used)."""
+        """Return the Hessian of the constraints' sum, weighted by multipliers, (n_used, n_used)."""
         return np.asarray(self.curvature(self._point(theta, starts), multipliers / self.size), float)
 
     def violation(self, rows: FloatArray) -> float:
@@ -487,7 +487,7 @@ class Shooting:
         return self.cost(self.error_products(values, starts)) + more / self.likelihood_size
 
     def known(self, theta: FloatArray) -> LikelihoodSums:
-        """Return negative log-likelihood of prior and frequency responses, with derivatives by the parameters."""
+        """Return the negative log-likelihood of prior and frequency responses, with gradient and Hessian."""
         away, information = theta - self.prior.mean, self.prior.information
         cost, gradient, hessian = 0.5 * float(information @ away**2), information * away, np.diag(information)
         for group in self.responses:

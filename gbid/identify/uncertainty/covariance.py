@@ -239,7 +239,7 @@ def _sensitivities(
 
 
 class _Passed:
-    """Part of a problem after a pass over its windows, ready to compute sensitivities window by window."""
+    """Part of a problem after a pass over its windows; sensitivities are computed for each window on request."""
 
     def __init__(self, part: tuple[Any, RecordGroup, FloatArray], blocks: Blocks, traced: Traced) -> None:
         self._v, self._part, _ = part
@@ -248,7 +248,7 @@ class _Passed:
 
     @cached_property
     def feedback(self) -> PredictorValues | None:
-        """Predictor that feeds measured outputs back, with derivatives by the unknowns of the problem."""
+        """Predictor with feedback of measured outputs, and its derivatives with respect to the unknowns."""
         if not self._part.predictor.feeds_back:
             return None
         v, tie = self._part.kernel.feedback(self._v, self._blocks, self._prediction), self._part.tie
