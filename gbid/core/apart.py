@@ -87,7 +87,7 @@ class ReaderLimits(NamedTuple):
 
 
 def limits_for(path: Path) -> ReaderLimits:
-    """Return the limits for a file by its size.
+    """Return the limits for reading a file, from its size.
 
     Raises
     ------
@@ -160,7 +160,7 @@ class ReaderProcess:
         return self._child
 
     def close(self) -> None:
-        """End the process."""
+        """End the reader process."""
         with self._lock:
             self._end()
 

@@ -49,7 +49,7 @@ class Description:
 
     @property
     def heading(self) -> str:
-        """Class and title."""
+        """Heading of the description: class and title."""
         return f"{self.kind}: {self.title}".removesuffix(": ")
 
     def text(self) -> str:

@@ -39,7 +39,7 @@ class DataError(GbidError, ValueError):
 
 
 class NoSpaceError(DataError):
-    """The disk or the quota is full. Nothing that was complete is lost."""
+    """The disk or the quota is full. Files that were already complete are kept."""
 
 
 class NotConvergedError(GbidError):

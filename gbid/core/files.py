@@ -276,7 +276,7 @@ _END = 100
 
 
 def with_checksum(content: bytes) -> bytes:
-    """Return the bytes of a file with their checksum."""
+    """Return the bytes of a file followed by their checksum."""
     return b"".join((content, _LABEL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
 
 

@@ -401,7 +401,7 @@ def _entries(ordered: bool, value: Any) -> Any:
 
 
 class ArrayOfNumbers:
-    """Mark in place of ``numpy.typing.ArrayLike``, a union of types that allows texts."""
+    """Mark that replaces ``numpy.typing.ArrayLike``, whose union of types includes texts."""
 
 
 @cache

@@ -345,7 +345,7 @@ def read_values(path: Path, kind: type[T]) -> list[T]:
 
 
 def csv_rows(path: Path) -> list[dict[str, str]]:
-    """Return the cells of a CSV file by row and heading, without comments."""
+    """Return the cells of a CSV file, row by row and by heading, without comments."""
     with path.open(encoding="utf-8", newline="") as handle:
         return list(csv.DictReader(line for line in handle if not line.startswith("#")))
 

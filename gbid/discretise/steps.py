@@ -13,7 +13,7 @@ IntegratorName = Literal["rk4", "implicit"]
 
 
 def one_step(method: IntegratorName, f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX], step: ca.SX) -> ca.SX:
-    """Return the state after one step.
+    """Return the state after one step of an integrator.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments)
 
 @takes_options(FitArguments)
 def fit(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitResult:
-    """Return the fit of a structure to recordings by prediction errors (paper, Eq. 15) with multiple shooting.
+    """Return the fit of a structure to recordings: prediction errors (paper, Eq. 15), multiple shooting.
 
     Parameters
     ----------

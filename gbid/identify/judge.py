@@ -55,7 +55,7 @@ _OF_A_MEAN = 10.0  # the same for short records, over the number of samples
 
 
 def judge(optimum: Optimum) -> FitResult:
-    """Return the result of a fit, evaluated at the optimum of its problem, without its wall time."""
+    """Return the result of a fit, assessed at the optimum of its problem (wall time is added later)."""
     judged = Judged(optimum)
     problem, task, assembly = optimum.problem, optimum.problem.task, optimum.problem.assembly
     parameters, spread, residuals = judged.parameters, judged.spread, judged.residuals
@@ -338,7 +338,7 @@ class Judged:
 
     @property
     def of_noise(self) -> Covariance:
-        """Covariance from the noise alone."""
+        """Covariance of the estimates from the noise alone."""
         return self.meeting[0]
 
     @cached_property

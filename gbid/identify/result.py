@@ -162,7 +162,7 @@ def _of_free(at: str, words: str) -> Stored:
 
 @dataclass(frozen=True)
 class StartsTried:
-    """Counts of fits from several starts.
+    """Numbers of tried, converged and best fits from several starts.
 
     Attributes
     ----------
@@ -511,7 +511,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         return self.changed(notes=(*self.diagnosis.notes, *notes)) if notes else self
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write this fit to the `group`, and whether it succeeded."""
+        """Write this fit and its success to the `group`."""
         hdf5.write_fields(group, self)
         hdf5.add_attribute(group, "success", np.array(self.success))
 
@@ -658,7 +658,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
 
     @property
     def own_names(self) -> dict[str, str]:
-        """Names of the local parameters in the structure, by full name."""
+        """Names in the structure of the local parameters, by full name."""
         return {full: short for names in self.local_names.values() for short, full in names.items()}
 
     def parameters_of(self, recording: str) -> dict[str, float]:

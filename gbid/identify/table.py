@@ -1,4 +1,4 @@
-"""Table of many fits: the result of a campaign."""
+"""Table of many fits, with a row for each: the result of a campaign."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def regressors(*point: npt.ArrayLike, exponents: Exponents = EXPONENTS) -> Float
 
 
 def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -> Any:
-    """Return the sum of coefficients times terms.
+    """Return the value of a polynomial: the sum of coefficients times terms.
 
     Parameters
     ----------

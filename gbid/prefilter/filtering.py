@@ -485,7 +485,7 @@ class OnlinePrefilter:
         self._count = 0
 
     def step(self, position: Sequence[float] | FloatArray, angle: float | None) -> FloatArray | None:
-        """Return the filtered position after one more sample.
+        """Return the next filtered position, from one more sample.
 
         Parameters
         ----------
@@ -615,11 +615,11 @@ class PrefilterFile(hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("prefilter", "make it again with `gbid run`")
 
     def document(self) -> Row:
-        """Return the corrections of each channel as plain values, for JSON."""
+        """Return the prefilter's corrections of each channel as plain values, for JSON."""
         return {"prefilter": correction_rows(self.reports)}
 
     def tables(self) -> list[Table]:
-        """Return the table of the corrections."""
+        """Return the table of the prefilter's corrections."""
         return [correction_table(correction_rows(self.reports))]
 
     def to_hdf5(self, group: h5py.Group) -> None:

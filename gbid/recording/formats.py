@@ -597,7 +597,7 @@ _OBJECT = 0xDD000000  # first number of a reference to an object
 
 
 def _field(struct: Any, field: str, where: str) -> Any:
-    """Return a field of a struct or object."""
+    """Return a field of a MATLAB struct or object."""
     if not isinstance(struct, Mapping):
         kind = class_of(struct)
         rather = f", but a MATLAB {kind}; {SAVE_PLAIN}" if kind else ""

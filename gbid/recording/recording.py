@@ -327,7 +327,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return cls(values, sample_time, conditions or {}, name, units or {}, channels)
 
     def to_frame(self) -> Any:
-        """Return a data frame with a column for each channel (``"p.x"``) over the time [s].
+        """Return a data frame with a column for each channel (``"p.x"``), indexed by time [s].
 
         Returns
         -------

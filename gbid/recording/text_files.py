@@ -667,7 +667,7 @@ class TextTable:
 
     @cached_property
     def cells(self) -> list[list[str]]:
-        """Cells of the rows.
+        """Cells of all rows.
 
         Raises
         ------

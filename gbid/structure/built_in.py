@@ -182,7 +182,7 @@ class PiezoPair(Brief):
     @property
     @once
     def parameters(self) -> tuple[Parameter, ...]:
-        """Poles p1 and p2, or natural frequency omega and damping factor zeta, and gain kappa of each axis."""
+        """Parameters of each axis: poles p1 and p2 (or natural frequency and damping factor), and gain kappa."""
         parameters = []
         for axis in AXES:
             if self.poles == "any":

@@ -398,7 +398,7 @@ class Validation(Brief, Pictured):
         return brief(self, about, **figures, conditions=self.conditions)
 
     def to_frame(self) -> Any:
-        """Return inputs, measured and simulated outputs over the time as a data frame.
+        """Return a data frame of inputs, measured and simulated outputs, indexed by time.
 
         Returns
         -------

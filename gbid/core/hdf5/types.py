@@ -242,11 +242,11 @@ class Inline:
     record: DataclassGroup
 
     def write(self, group: h5py.Group, _name: str, value: Any, context: Context) -> None:
-        """Write the fields of the value."""
+        """Write the fields of the value to the group of the outer value."""
         self.record.put(group, value, context)
 
     def read(self, group: h5py.Group, _name: str, context: Context) -> Any:
-        """Return the value from its fields."""
+        """Return the value from its fields in the group of the outer value."""
         return self.record.get(group, {}, context)
 
 

@@ -415,7 +415,7 @@ def per_block(values: FloatArray) -> FloatArray:
 
 
 def at_windows(blocks: Blocks, starts: FloatArray) -> FloatArray:
-    """Return the state at the start of each block, (n, W), where every window, (n_windows, n), is one block."""
+    """Return window starts (n_windows, n) as block starts, (n, W), where every window is one block."""
     begin = np.zeros((starts.shape[1], len(blocks.size)))
     begin[:, : blocks.n_windows] = starts.T
     return begin

@@ -250,7 +250,7 @@ _FLAGS = tuple(flag for flag in FLAGS if flag not in ("-fno-signed-zeros", "-fas
 
 
 class LanesKernel(CompiledPasses, NonlinearKernel):
-    """Compiled kernel of a nonlinear predictor; a `Kernel`.
+    """Compiled kernel of a nonlinear predictor, with a block in each vector lane; a `Kernel`.
 
     Parameters
     ----------

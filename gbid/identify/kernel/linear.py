@@ -143,7 +143,7 @@ class LinearKernel(KernelOfLinear):
     def sums(
         self, v: PredictorValues, blocks: Blocks, begin: FloatArray, root: FloatArray, free: FloatArray
     ) -> BlockSums:
-        """Return the sums of the pass with sensitivities.
+        """Return the sums of a pass with sensitivities; abstract.
 
         Parameters
         ----------

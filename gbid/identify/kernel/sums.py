@@ -155,7 +155,7 @@ def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
 
 
 def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: Linked) -> Sweep:
-    """Return the sums over the blocks of each window."""
+    """Return the sums of each window, added over its blocks."""
     first, live = blocks.window_first, slice(0, blocks.n_blocks)
     S, P = linked.by_theta[live], linked.by_start[live]
     mixed, start, gradient_start = sums.mixed[live], start_hessian[live], sums.gradient_start[live]
@@ -196,7 +196,7 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def spectral_radius(v: PredictorValues) -> float:
-    """Return the largest magnitude of the eigenvalues of a predictor; infinite where it overflows."""
+    """Return the spectral radius of a predictor's transition; infinite where the predictor overflows."""
     return float(np.abs(np.linalg.eigvals(v.F)).max()) if np.isfinite(v.F).all() else np.inf
 
 

@@ -309,7 +309,7 @@ class Assembly:
 
     @property
     def engine(self) -> RunEngine:
-        """Engine of the passes over the samples."""
+        """Engine of the passes over the samples: compiled or numpy."""
         return self.parts[-1].kernel.engine if self.parts else "numpy"
 
     @property

@@ -245,7 +245,7 @@ class ExactHessian:
         self._left_out: list[PartHessian] = []
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Return the entries at the solver's next point."""
+        """Return the Hessian entries at the solver's next point."""
         problem, here = self._problem, self._problem.at(unknowns)
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)

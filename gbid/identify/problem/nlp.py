@@ -220,7 +220,7 @@ class ExtraTerms:
     names: tuple[str, ...]
 
     def at(self, theta: FloatArray, starts: FloatArray) -> ExtraValues:
-        """Return the values for parameters (n_p,) and window starts (n_windows, n)."""
+        """Return the values of the extra terms for parameters (n_p,) and window starts (n_windows, n)."""
         v = self._point(theta, starts)
         value, gradient, hessian = (np.asarray(m, float) for m in self.cost(v))
         rows, slopes = (np.asarray(m, float) for m in self.rows(v))
@@ -357,7 +357,7 @@ class Shooting:
 
     @cached_property
     def first_window(self) -> IntArray:
-        """First window of each part, and the number of windows, shape (n_parts + 1,)."""
+        """First window of each part, then the total number of windows, shape (n_parts + 1,)."""
         return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
 
     def windows_from(self, first: int) -> list[int]:

@@ -40,10 +40,10 @@ class Tabled(Brief):
 
     @abstractmethod
     def table(self) -> Table:
-        """Return the numbers as a table."""
+        """Return the numbers of this value as one table."""
 
     def tables(self) -> list[Table]:
-        """Return the table of the numbers."""
+        """Return the tables of this value: its one table."""
         return [self.table()]
 
     def to_frame(self) -> Any:
