@@ -374,7 +374,7 @@ def _pydantic_type(kind: Any) -> Any:
 
 
 def _only(test: Callable[[Any], bool]) -> Any:
-    """Return a type for pydantic that allows the values that pass a test."""
+    """Return a type for pydantic whose values must pass a test."""
     from pydantic import PlainValidator
 
     def tested(value: Any) -> Any:

@@ -263,7 +263,7 @@ class Table:
 
 
 def titled(title: str, tables: Iterable[Table]) -> list[Table]:
-    """Return tables with a further title put before the title of the first table."""
+    """Return tables with a title added; the first table's title follows it."""
     return [replace(q, title=f"{title}, {q.title}".removesuffix(", ")) if i == 0 else q for i, q in enumerate(tables)]
 
 

@@ -264,7 +264,7 @@ class RunoutResidual(Brief):
 
 
 def runout_residual(runout_map: RunoutMap, rec: Recording) -> RunoutResidual:
-    """Return the residual of a run-out map on a recording with piezos at rest.
+    """Return the residual after subtraction of a run-out map, for a recording with piezos at rest.
 
     Parameters
     ----------

@@ -347,7 +347,7 @@ _OFFSETS = ("add_offset", "offset", "intercept")
 
 
 def _unscaled_hdf5(dataset: Any) -> str:
-    """Return as text a scale stated by a dataset and not applied; empty for none, or factor 1 and offset 0."""
+    """Return a text on the scale that an HDF5 dataset states but h5py does not apply; empty if it has none."""
     for neutral, keys in ((1, _FACTORS), (0, _OFFSETS)):
         for key in (spelled for each in keys for spelled in (each, each.capitalize(), each.upper())):
             value = np.asarray(dataset.attrs.get(key, neutral))  # to iterate fails where storage is external
@@ -427,7 +427,7 @@ def matlab_value(value: Any, inside: Any = None) -> Any:
 
 
 def class_of(value: Any) -> str:
-    """Return the MATLAB class of an object as text for messages; empty for arrays, structs and cells."""
+    """Return the MATLAB class of an object, such as "table object"; empty for arrays, structs and cells."""
     kind = value.kind if isinstance(value, MatObject) else getattr(value, "classname", None)
     return f"{kind} object" if kind else ""
 
@@ -703,7 +703,7 @@ def _close_half_opened(error: Exception) -> None:
 
 
 def _places(file: Any) -> dict[str, list[tuple[int, int]]]:
-    """Return the positions (group, channel) of each channel name, also with group name or group number."""
+    """Return the positions (group, channel) of each channel, by name, by group/name and by group number/name."""
     named: dict[str, list[tuple[int, int]]] = {}
     by_group: dict[str, list[tuple[int, int]]] = {}
     for g, group in enumerate(file.groups):
@@ -829,7 +829,7 @@ _TDMS_SCALES = (
 
 
 def _unscaled_tdms(levels: Iterable[Mapping[str, Any]]) -> str:
-    """Return as text a scale in the properties that nptdms does not apply; empty for none."""
+    """Return a text on a scale in the properties that nptdms does not apply; empty if there is none."""
     for properties in levels:
         kinds = [str(value) for key, value in properties.items() if _TDMS_SCALE.fullmatch(key)]
         unknown = [kind for kind in kinds if kind not in _TDMS_SCALES]

@@ -179,7 +179,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
 
 
 def _whole(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> dict[str, FileColumn]:
-    """Return columns, read again in full if their clocks differ: they are cut by time."""
+    """Return the columns; columns with different clocks are read again in full, because they are cut by time."""
     if has_one_clock(columns) or all(column.first is None for column in columns.values()):
         return columns
     reader = file_format(path, mapping.text_options, FilePart(mapping.axis)).read

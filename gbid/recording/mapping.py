@@ -194,7 +194,7 @@ class SignalMapping:
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
-        """Return the mapping from a plain dict with equal keys; an unknown key raises UsageError.
+        """Return the mapping from a plain dict with the field names as keys; an unknown key raises UsageError.
 
         Parameters
         ----------

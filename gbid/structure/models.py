@@ -32,7 +32,7 @@ from gbid.discretise.exact import (
 
 
 def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
-    """Return signals as a finite array (n_samples, count); a single channel may be given as (n_samples,).
+    """Return signals as a finite array (n_samples, count); for one channel (n_samples,) is accepted.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def lane_source(functions: SampleFunctions) -> str:
 
 
 def _written(name: str, f: ca.Function, dense: Sequence[int]) -> str:
-    """Return C code of a function, and C code of its part that is constant in a pass.
+    """Return C code of a function, split into statements that are constant in a pass and statements that vary.
 
     The entries of the Jacobian of a step by its inputs go to places in dense columns, all others one after the other.
     """
@@ -93,7 +93,7 @@ def _written(name: str, f: ca.Function, dense: Sequence[int]) -> str:
     declared: set[int] = set()
 
     def seen(value: str) -> str:
-        """Return the C name of a value in the part that varies."""
+        """Return the name by which C statements of the varying part refer to a value."""
         return f"c[{kept.setdefault(value, len(kept))}]" if value.startswith("k") else value
 
     for k in range(f.n_instructions()):

@@ -649,7 +649,7 @@ def _checked_weights(output_weights: Sequence[float] | None, data: FitData) -> F
 
 
 def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prior:
-    """Prior from names in full or as in the structure; the latter hold for all groups."""
+    """Return the prior of the free parameters; a name without recording applies to all groups."""
     full = {q.name: i for i, q in enumerate(assembly.free)}
     mean, information = np.zeros(len(full)), np.zeros(len(full))
     for name, (value, std) in prior.items():

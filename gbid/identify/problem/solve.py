@@ -718,7 +718,7 @@ def _phase(problem: Shooting, solution: Solution) -> Phase:
 
 
 def _continued(first: Solution, last: Solution) -> Solution:
-    """Return the last solution with the iterations of the first, for a run in two stages."""
+    """Return the last solution of two successive runs, with the iterations of both."""
     return replace(
         last,
         iterations=first.iterations + last.iterations,

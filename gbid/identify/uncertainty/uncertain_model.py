@@ -73,7 +73,7 @@ class UncertainModel(Brief):
     units: Mapping[str, str] = field(default_factory=dict)
 
     def known(self) -> tuple[ModelSlopes, FloatArray | None]:
-        """Return derivatives and covariance; none of both where either is missing or not finite."""
+        """Return derivatives and covariance; empty derivatives and None if either is missing or not finite."""
         if self.slopes is not None and self.covariance is not None and np.isfinite(self.covariance).all():
             return self.slopes, self.covariance
         n, (n_y, n_u) = self.model.n_states, self.model.D.shape
