@@ -241,7 +241,7 @@ class Ladder:
         return not log(max(rate, 1e-300)) * (self.longest if samples is None else samples) <= log(most)
 
     def rate(self, start: Mapping[str, float]) -> float:
-        """Return the predictor's largest growth in a sample, at given start values."""
+        """Return the predictor's largest growth per sample, at given start values."""
         return _rate(self.task.problem(start, windows_of(self.task)[0]))
 
     def in_turn(
@@ -321,7 +321,7 @@ class Ladder:
 
 
 def _rate(problem: PosedProblem) -> float:
-    """Return the predictor's largest growth in a sample, at the start values of a problem."""
+    """Return the predictor's largest growth per sample, at the start values of a problem."""
     return problem.shooting.rate(*problem.shooting.unpack(problem.unknowns))
 
 

@@ -85,7 +85,7 @@ class Kind(ABC):
     def model(
         self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()
     ) -> LinearModel | NonlinearModel:
-        """Return the model for given parameter values; a nonlinear model has one integrator step in a sample."""
+        """Return the model for given parameter values; a nonlinear model has one integrator step per sample."""
 
     @abstractmethod
     def without_inputs(self) -> AnyStructure:

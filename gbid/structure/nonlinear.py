@@ -286,7 +286,7 @@ _RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, 
 
 
 def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float) -> int:
-    """Return the first number of integrator steps in a sample: stated by the structure, or from the fastest pole.
+    """Return the initial number of integrator steps per sample: stated by the structure, or from the fastest pole.
 
     With ``steps="auto"`` the fastest pole at rest turns by a radian at most in one step.
 

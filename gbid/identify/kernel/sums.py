@@ -201,7 +201,7 @@ def spectral_radius(v: PredictorValues) -> float:
 
 
 def growth_along(transitions: FloatArray, samples: int) -> float:
-    """Return the mean growth in a sample of a small deviation along a trajectory.
+    """Return the mean growth per sample of a small deviation along a trajectory.
 
     It is that over the second half of the trajectory: a deviation that grows like time, as the phase of an oscillator
     does, is not unstable. Less than a tenfold growth counts as none.
@@ -369,7 +369,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def growth(self, v: Any, blocks: Blocks, sweep: Sweep | None, state_scale: FloatArray) -> float:
-        """Return the growth of a small deviation in a sample; infinite where the predictor overflows.
+        """Return the growth of a small deviation per sample; infinite where the predictor overflows.
 
         `sweep` is a pass; a linear predictor needs none, a nonlinear one has NaN without it. States are of the order of
         `state_scale`.

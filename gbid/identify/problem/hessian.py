@@ -70,7 +70,7 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
 
 
 def starts_from(problem: Shooting, theta: FloatArray, starts: FloatArray, other: Shooting) -> FloatArray:
-    """Return the window starts of another problem of these records, (n_windows, n), from the predicted states."""
+    """Return window starts of another problem with equal records, (n_windows, n), from predicted states at a point."""
     passed: dict[int, FloatArray] = {}
     for value, part, begin in problem.each(problem.values(theta), starts):
         states = part.blocks.by_segment(part.kernel.predict(value, part.blocks, begin).states)

@@ -98,7 +98,7 @@ def integrated_finely(
 
 
 def with_steps(problem: Shooting, steps: int) -> Shooting:
-    """Return the problem with a given number of integrator steps in a sample."""
+    """Return the problem with a given number of integrator steps per sample."""
     parts = []
     for part in problem.parts:
         assert isinstance(part.predictor, NonlinearPredictor)

@@ -525,14 +525,14 @@ class Shooting:
         return (self._watched and isinstance(p, Predictor) and near_instability(p, own, v, EDGE) for p, own, v in each)
 
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Return the growth of a small deviation in a sample at a point; infinite without a valid predictor."""
+        """Return the growth of a small deviation per sample at a point; infinite without a valid predictor."""
         values = self.values(theta)
         alone = self.growth(values)
         rate = self.growth(values, self.at_physical(theta, starts).sweeps) if np.isnan(alone) else alone
         return np.inf if np.isnan(rate) else rate
 
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
-        """Return the largest growth of a small deviation in a sample, over all parts; NaN if a pass is needed."""
+        """Return the largest growth of a small deviation per sample, over all parts; NaN if a pass is needed."""
         each = zip(self.parts, values, sweeps or repeat(None), strict=False)
         rates = (part.kernel.growth(v, part.blocks, sweep, self.state_scale) for part, v, sweep in each)
         return max(rates, default=0.0)
