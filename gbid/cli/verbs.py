@@ -1,4 +1,4 @@
-"""Verbs that run stages or show their results: `gbid run`, `fit`, `batch`, a verb per section, `report`, `serve`."""
+"""Verbs that run stages or show results: `gbid run`, `fit`, `batch`, `report`, `paper`, `serve`, verbs of sections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Assessment of a control design: performance figures at each operating point and their worst values."""
+"""Assessment of control designs: performance figures over operating points, comparison, storage and tables."""
 
 from __future__ import annotations
 

@@ -264,7 +264,7 @@ def sample_time(experiment: Experiment, section: ControllerSection | ControllerC
 
 
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
-    """Return the machine with a published controller: of the design, else of the rig; None without a rig."""
+    """Return the machine that a design names if it has a published controller, else the machine of the rig, if any."""
     if section is not None and is_fitted(experiment, section):
         return None
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)

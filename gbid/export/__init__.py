@@ -1,4 +1,4 @@
-"""Export to other programs: tables, MATLAB, ROSS, C, FMU.
+"""Export to other programs: tables, data files, MATLAB, ROSS, C, FMU.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used, so
 that `gbid --help`, which names the targets of an export, imports nothing heavy.

@@ -119,7 +119,7 @@ class UnitPlant:
 
     @property
     def fastest(self) -> float:
-        """Largest magnitude of the poles on a grid over the domain [1/s]."""
+        """Estimated upper bound of the pole magnitudes [1/s]: the largest on a grid over the domain, with a margin."""
         A, parameters = ca.Function("A", [self.key], [ca.densify(self.matrices.A)]), self.parameters
         bounds = () if self.model is None else self.model.domain.bounds
         points = product(*(np.linspace(*bound, _GRID) for bound in bounds))

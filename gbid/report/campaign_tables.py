@@ -41,7 +41,7 @@ def campaign_document(
 
 
 def _fit_of_campaign(table: identify.FitTable, name: str) -> Row:
-    """Return the converged and missing counts of a fit name, its median fit percent, and its worst fit."""
+    """Return a summary of one fit name: converged, unconverged and missing models, median fit percent, worst fit."""
     rows = table.select(fit=name)
     made = np.isfinite(rows.fit_percent).any(axis=1)
     smallest = rows.fit_percent[made].min(axis=1, initial=np.inf)

@@ -1,4 +1,4 @@
-"""Virtual test rig: the published machine with exact delays, its experiments and its sensors.
+"""Virtual test rig: machine with exact delays and nonlinear parts, runs, sensors and faults.
 
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """

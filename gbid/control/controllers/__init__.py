@@ -1,1 +1,1 @@
-"""Controllers of fixed structure, scheduled controllers, their files and their export to C."""
+"""Controllers: built-in and user-defined structures, scheduled gains, and controller files."""

@@ -462,7 +462,7 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
 
 
 def _difference(file: YamlFile, design: ControllerDesign, i: int, table: ControllerFile) -> str:
-    """Return where the stored matrices differ from matrices computed from gains and sampling, as texts."""
+    """Return a text on the first stored matrix that differs from gains and sampling; empty without a difference."""
     stored = table.models[i]
     point = stored.point or ()
     for what, given, expected in (

@@ -1,1 +1,1 @@
-"""Hammer impacts: simulated response of a loop, impacts found in recordings, validation of a model."""
+"""Hammer impacts: impacts in recordings, ring-down fits, validation of models, and studies."""

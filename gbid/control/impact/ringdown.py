@@ -162,7 +162,7 @@ def harmonics_for(recording: Recording, harmonics: int | None) -> int:
 def lagging_force(
     data: RingData, rates: Sequence[complex], directions: Sequence[int], sample_time: float
 ) -> FloatArray:
-    """Return the force filtered by first-order lags of given rates, (n_samples, n_columns); zero for unused columns.
+    """Return the force filtered by lags of real or complex rates, (n_samples, n_columns); zero for unused columns.
 
     A real rate is a lag of gain one. A complex one is a decay that oscillates, with a column for its sine and one for
     its cosine. Columns are in the order of the rates, with those of all directions for each.

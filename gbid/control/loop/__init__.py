@@ -1,1 +1,1 @@
-"""Closed loops: sensitivities, peak gains, margins, damping, and the sampled loop."""
+"""Closed loops: sensitivities, peak gains, margins, damping, half-sine impacts, and the sampled loop."""

@@ -1,4 +1,4 @@
-"""Eigenvalues, eigenvectors and clusters of small matrices, and slopes of peaks, in C.
+"""Compiled kernels in C: eigenvalues, eigenvectors and clusters of small matrices; peaks and slopes of responses.
 
 For matrices of ten states they take a half to a fifth of the time of calls of LAPACK.
 """

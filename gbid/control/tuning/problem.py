@@ -95,7 +95,7 @@ class Pieces(NamedTuple):
 
 
 class Measure(ABC):
-    """Quantity of each loop that a design limits: its excess is at most 0 within the limit, and positive beyond."""
+    """Quantity of each loop for a goal: its excess is at most 0 within the limit, and positive beyond."""
 
     name: str
 
@@ -336,7 +336,7 @@ class GainProblem:
 
     @property
     def slowest(self) -> float:
-        """Smallest decay rate of every eigenvalue [1/s], so that a tolerated violation still leaves a stable loop."""
+        """Decay rate that every eigenvalue must exceed [1/s], so that a tolerated violation leaves a stable loop."""
         return max(self.limits.slowest_pole, (STABLE + FEASIBLE) * self.scale)
 
     def score(self, x: FloatArray, worst: float = -np.inf, some: Sequence[IntArray] | None = None) -> Score:

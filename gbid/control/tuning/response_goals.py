@@ -760,7 +760,7 @@ class PiezoTravel(Wanted):
         return replace(self, impact=self.impact.on(machine), travel_m=travel)
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Return the measure of the stack motion; all plants have an equal force input.
+        """Return the `Measure` of the stack motion; all plants have an equal force input.
 
         Raises
         ------

@@ -76,7 +76,7 @@ def _improve(problem: GainProblem, known: GainSolution, task: SearchTask) -> Gai
 
 
 def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
-    """Return a certified design whose peaks exceed no limit, also between the grid frequencies."""
+    """Return a design with certificate, repaired so that peaks between grid frequencies satisfy the limits as well."""
     budget = solution.problem.evaluations
     checks = budget.of_checks()
     solution = replace(solution, problem=replace(solution.problem, evaluations=checks))
