@@ -110,7 +110,7 @@ class PointAssessment:
         return self.plant or point_label(self.pressure_bar, self.speed_rpm)
 
     def figures(self) -> dict[str, float]:
-        """Return the figures for the comparison of designs, in the order of `FIGURES`."""
+        """Return the figures that comparisons of designs show, in the order of `FIGURES`."""
         return {name: figure.of(self) for name, figure in FIGURES.items()}
 
 
@@ -406,7 +406,7 @@ def _assess_point(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Worst figures of several designs.
+    """Worst performance figures of several designs, side by side.
 
     Attributes
     ----------
@@ -531,7 +531,7 @@ class DesignFigures:
 
     @classmethod
     def of(cls, assessment: Assessment) -> DesignFigures:
-        """Return the numbers of an assessment."""
+        """Return the figures of an assessment as plain numbers."""
         points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
         verdicts = (np.array([bool(getattr(q, name)) for q in assessment.points]) for name in _VERDICTS)

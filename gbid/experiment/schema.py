@@ -676,7 +676,7 @@ class NamePattern:
 
 
 def name_pattern(text: str) -> NamePattern:
-    """Return the pattern of a text.
+    """Return the pattern of file names that a text describes.
 
     Raises
     ------

@@ -43,7 +43,7 @@ _SCHEDULE = {"pressure_bar": ("bar", "injection pressure"), "speed_rpm": ("rpm",
 
 @dataclass(frozen=True)
 class UnitVariable:
-    """Variable of a unit.
+    """Variable of a co-simulation unit.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ def _bearing_unit(model: LPVModel, key: ca.SX, m: Matrices) -> UnitPlant:
 
 @dataclass(frozen=True, eq=False)
 class UnitController:
-    """Sampled controller of a unit.
+    """Sampled controller of a co-simulation unit.
 
     Attributes
     ----------

@@ -112,7 +112,7 @@ class NonSynchronous:
         check_options(self, "non-synchronous")
 
     def size_at(self, speed: FloatArray) -> FloatArray:
-        """Return s at given speeds [rad/s], shape of `speed` [m]."""
+        """Return the size s of the whirl at given speeds [rad/s], shape of `speed` [m]."""
         rpm = np.abs(speed) * (30.0 / np.pi)
         return np.asarray(self.size_m * np.exp(-0.5 * ((rpm - self.peak_rpm) / self.width_rpm) ** 2))
 

@@ -65,7 +65,7 @@ class StackArrays(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """Inputs of a chunk of n samples.
+    """Inputs of the time stepping for a chunk of n samples.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StepArrays:
-    """Constants of a simulation.
+    """Constants of a simulation by time stepping, as plain arrays.
 
     Attributes
     ----------

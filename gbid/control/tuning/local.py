@@ -120,7 +120,7 @@ def ridge_step(
     box: tuple[FloatArray, FloatArray],
     penalty: float,
 ) -> RidgeStep | None:
-    """Return the step of the gains (in units of the box) that solves the quadratic programme for the move, t and s.
+    """Return the step of the gains by a quadratic programme over step, gain in objective, and violation of limits.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ class ResponseMeasure(Measure):
     def _scaled(loops: Derivatives, frequency: FloatArray) -> Derivatives:
         """Return 2 x 2 responses, scaled so that both off-diagonal entries have equal magnitude.
 
-        The largest singular value is then the structured one, with the same gradient (margins.py).
+        The largest singular value is then the structured one, with the same gradient; see `structured_singular_values`.
         """
         if loops.D.shape[-1] != 2:
             return loops

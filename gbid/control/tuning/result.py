@@ -74,7 +74,7 @@ class WorstMode:
 
     @classmethod
     def of(cls, where: str, rate: complex) -> WorstMode:
-        """Return the mode of a rate [rad/s]."""
+        """Return the mode of a complex rate [rad/s]."""
         return cls(where, abs(rate) / (2 * np.pi), -rate.real / abs(rate) if rate else 0.0)
 
     def value(self, objective: Objective) -> float:

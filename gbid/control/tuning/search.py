@@ -129,7 +129,7 @@ Progress = Callable[[SearchStep], None]
 
 @dataclass(frozen=True)
 class SearchTask:
-    """Where and how to search.
+    """Task of a search: neutral gains, additional start values, effort, and progress callback.
 
     Parameters
     ----------

@@ -352,7 +352,7 @@ def _load(path: Path, _version: tuple[int, ...]) -> identify.FitResult:
 
 
 def fit_entries(job: Job, name: str) -> list[TableEntry]:
-    """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has a reason."""
+    """Return the rows of all models of a fit for `gbid.identify.table.tabulate`; a missing model has a reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
         conditions = job.experiment.recordings[recordings[0]].conditions if recordings else {}

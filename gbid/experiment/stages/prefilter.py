@@ -203,7 +203,7 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
 
 
 def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
-    """Return the run-out map by the method of the section, and a note on a choice by held-out data."""
+    """Return the run-out map by the method of the section, and a note if held-out data chose method or order."""
     if section.method == "bins" or (section.method == "harmonics" and section.harmonics != "auto"):
         number = 1 if section.harmonics == "auto" else section.harmonics  # not used by bins
         return identify_runout(still, method=section.method, harmonics=number, bins=section.bins), ()
