@@ -110,7 +110,7 @@ class PointAssessment:
         return self.plant or point_label(self.pressure_bar, self.speed_rpm)
 
     def figures(self) -> dict[str, float]:
-        """Return the figures that comparisons of designs show, in the order of `FIGURES`."""
+        """Return the performance figures that comparisons of designs show, in the order of `FIGURES`."""
         return {name: figure.of(self) for name, figure in FIGURES.items()}
 
 
@@ -192,7 +192,7 @@ class Assessment(Brief):
         return brief(self, about, gains=self.gains, **worst)
 
     def to_frame(self) -> Any:
-        """Return the figures as a data frame, a row for each operating point.
+        """Return the performance figures as a data frame, a row for each operating point.
 
         Returns
         -------
@@ -357,7 +357,7 @@ def _plants(
 def _assess_point(
     assessed: _AssessedPlant, structure: Structure | Scheduled, plan: Assessment, piezo_travel_m: float | None
 ) -> PointAssessment:
-    """Return all figures of a design with one plant, under the conditions of an assessment."""
+    """Return all performance figures of a design with one plant, under the conditions of an assessment."""
     plant, lpv = assessed.continuous, assessed.lpv
     controller = controller_at(structure, plan.gains, *assessed.point)
     loop = sensitivities(plant, controller)
@@ -426,7 +426,7 @@ class Comparison:
         return str(self)
 
     def tables(self) -> list[Table]:
-        """Return the table of the figures."""
+        """Return the comparison as a list with one table."""
         return [self.table()]
 
     def table(self) -> Table:
@@ -437,7 +437,7 @@ class Comparison:
         return Table("", [Column(heading) for heading in self.columns], rows)
 
     def to_frame(self) -> Any:
-        """Return the figures as a pandas.DataFrame, a row for each design.
+        """Return the performance figures as a pandas.DataFrame, a row for each design.
 
         Raises
         ------
@@ -447,14 +447,14 @@ class Comparison:
         return self.table().to_frame().set_index(self.columns[0])
 
     def __str__(self) -> str:
-        """Return a table with aligned columns."""
+        """Return the comparison as text with aligned columns."""
         table = (self.columns, *self.rows)
         widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
         return "\n".join("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in table)
 
 
 def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
-    """Return the worst figures of several designs in one table.
+    """Return the worst performance figures of several designs in one table.
 
     Parameters
     ----------
@@ -531,7 +531,7 @@ class DesignFigures:
 
     @classmethod
     def of(cls, assessment: Assessment) -> DesignFigures:
-        """Return the figures of an assessment as plain numbers."""
+        """Return the performance figures of an assessment as plain numbers."""
         points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
         verdicts = (np.array([bool(getattr(q, name)) for q in assessment.points]) for name in _VERDICTS)
@@ -539,7 +539,7 @@ class DesignFigures:
         return cls(*about, np.array(points), np.array(figures), *verdicts)
 
     def at(self, row: int) -> dict[str, float]:
-        """Return the figures at one operating point, keyed by figure name."""
+        """Return the performance figures at one operating point by name."""
         return dict(zip(FIGURES, map(float, self.figures[row]), strict=True))
 
     @property
@@ -644,7 +644,7 @@ class TunedDesign(hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("tuning", "make it again with `gbid tune`", 2)
 
     def to_hdf5(self, group: h5py.Group) -> None:
-        """Write this design to the `group`, with the names of the figures."""
+        """Write this design and its performance figures, with their names, to the `group`."""
         hdf5.write_fields(group, self)
         for performance in group["performance"].values():
             hdf5.add_texts(performance["figures"], "columns", tuple(FIGURES))
@@ -682,7 +682,7 @@ _EXCESS = "excess: logarithm of the value over its limit, of damping factors the
 
 
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
-    """Return the impact and the sampling for which the figures of designs were computed, as text."""
+    """Return the impact and the sampling for which performance figures were computed, as text."""
     hit = NO_IMPACT
     if impact.mass_kg is not None:
         hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
@@ -737,7 +737,7 @@ def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDe
 
 
 def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
-    """Return a table of the worst figures for each group of designs with equal assessment conditions."""
+    """Return a table of the worst performance figures for each group of designs with equal assessment conditions."""
     tables = []
     for group in assessed_alike(designs):
         first, *_ = group.values()
@@ -752,7 +752,7 @@ def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
 
 
 def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
-    """Return the table of the worst figures of designs with equal assessment, a row for each figure.
+    """Return a table of the worst performance figures of designs with equal assessment, a row for each figure.
 
     Parameters
     ----------

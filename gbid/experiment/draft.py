@@ -510,7 +510,7 @@ class DraftedFile(MeasuredFile):
 
 @dataclass(frozen=True, eq=False)
 class DraftData:
-    """Measured files with the common information from all of them.
+    """Measured files with the information that they have in common: name pattern, kinds, time range, notes.
 
     Attributes
     ----------

@@ -284,7 +284,7 @@ class GridTable:
         return [[float(v) for v in row] for row in self.rows]
 
     def row(self, pressure_bar: float, speed_rpm: float) -> list[float]:
-        """Return the row at an operating point, computed with the operations of the C source in equal order.
+        """Return the row at an operating point, with the operations of the C source in their order.
 
         Parameters
         ----------

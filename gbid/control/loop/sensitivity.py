@@ -250,7 +250,7 @@ def _integrates(model: LinearModel) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SensitivityData(Brief):
-    """Frequency responses of a loop for the figures, channel by channel.
+    """Frequency responses of a loop for the plots, channel by channel.
 
     Attributes
     ----------

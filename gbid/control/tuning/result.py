@@ -106,7 +106,7 @@ class GoalFigure:
 
 @dataclass(frozen=True)
 class GainResult(Brief):
-    """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified figures.
+    """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified performance figures.
 
     Attributes
     ----------

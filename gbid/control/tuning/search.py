@@ -44,7 +44,7 @@ def best_of(found: list[LocalOptimum]) -> LocalOptimum:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Effort of a search over gains. The figures behind the numbers are in docs/decisions/0078-search-over-gains.md.
+    """Effort of a search over gains; docs/decisions/0078-search-over-gains.md has the reasons for the default values.
 
     Parameters
     ----------

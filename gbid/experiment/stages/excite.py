@@ -53,7 +53,7 @@ def excite_tasks(job: Job) -> Work:
 
 
 def _limits(experiment: Experiment, section: ExciteSection, result: identify.FitResult) -> excite.ExcitationLimits:
-    """Return the limits of an excitation: from its section, or such that no possible machine of the rig rubs.
+    """Return the limits of an excitation: from its section, or such that no possible machine touches the bearing.
 
     The operating point is that of the first recording of the fit. Without the disc among the outputs of the fit its
     motion is not known.

@@ -56,7 +56,7 @@ def early_designs(experiment: Experiment) -> list[str]:
 
 
 def loop_tasks(job: Job) -> list[Task]:
-    """Return the tasks of the designs that recordings need; `gbid tune` has equal tasks."""
+    """Return the tasks of the designs that recordings need; `gbid tune` runs these tasks, too."""
     return [design_task(early_design(job.experiment, name)) for name in early_designs(job.experiment)]
 
 

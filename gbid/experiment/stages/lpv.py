@@ -203,7 +203,7 @@ def lpv_tasks(job: Job) -> Work:
 
 
 def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """Return the task of a model file; it follows the uncertainty and has an equal content key."""
+    """Return the task of a model file; it follows the uncertainty task and has the content key of the surfaces."""
     item = f"{needed(job.experiment.spec.lpv, 'lpv').fit}{suffix}"
     source = job.path(FOLDER, item)
     if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
