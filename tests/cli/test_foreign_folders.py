@@ -113,46 +113,71 @@ def test_an_italian_folder_becomes_a_controller_in_c(tmp_path):
     own = tmp_path / "own"
     write_italian_folder(tmp_path / "Prove", {4.5: (1, 1), 5.0: (2, 5), 6.0: (2, 6)}, 1.6)
     assert gbid(*init_italian(tmp_path / "Prove", own, "--skip-broken")) == 0
+    assert_becomes_a_controller_in_c(own, 10)
+
+
+def assert_becomes_a_controller_in_c(own, count):
+    """Run an experiment, compare the modes of its fits with the true ones, export the controller and run its test."""
     assert gbid("run", own / "experiment.yaml", "--engine", "serial", "--quiet") == 0
-    fits = sorted((own / "results" / "own" / "fits" / "bearing").glob("*.h5"))
-    assert len(fits) == 10
+    experiment = load_experiment(own / "experiment.yaml")
+    fits = sorted((experiment.results / "fits" / "bearing").glob("*.h5"))
+    assert len(fits) == count
     for path in fits:
-        fit = load(path)
-        pressure = float(path.name[4:7].replace("_", "."))
-        off = (np.array(fit.model.modes()[:2]) - load_model("theisen2016").at(pressure, SPEED).modes()) / fit.modes_std[
-            :2
-        ]
-        assert np.abs(off).max() < 4
-    assert gbid("export", own / "experiment.yaml", "--to", "c", "--output", tmp_path / "c") == 0
+        fit, point = load(path), experiment.recordings[path.stem].conditions
+        true = load_model("theisen2016").at(point["pressure_bar"], point["speed_rpm"]).modes()
+        assert np.abs((np.array(fit.model.modes()[:2]) - true) / fit.modes_std[:2]).max() < 4
+    assert gbid("export", own / "experiment.yaml", "--to", "c", "--output", own / "c") == 0
     if (compiler := shutil.which("cc")) is None:
         pytest.skip("no C compiler: the controller is written, not compiled")
-    (test,) = (tmp_path / "c").glob("*_selftest.c")
+    (test,) = (own / "c").glob("*_selftest.c")
     source = test.with_name(test.name.replace("_selftest", ""))
     main = f"-D{source.stem.upper()}_SELFTEST_MAIN"
-    subprocess.run([compiler, "-std=c99", main, test, source, "-lm", "-o", tmp_path / "selftest"], check=True)
-    subprocess.run([tmp_path / "selftest"], check=True, capture_output=True)
+    subprocess.run([compiler, "-std=c99", main, test, source, "-lm", "-o", own / "selftest"], check=True)
+    subprocess.run([own / "selftest"], check=True, capture_output=True)
 
 
-def write_short(path, names, scales, moving, stamp, **layout):
-    made = measured(6.0, moving, len(path.name), seconds=0.8)
-    columns = [scales[q] * made[q][:, i] for q in "rup" for i in (0, 1)]
-    write(path, names, [*columns, scales["phi"] * made["phi"]], stamp, **layout)
+PSI = 0.0689475729  # bar
+POINTS = [(pressure, moving) for pressure in (4.5, 5.0, 6.0) for moving in (False, True, True)]
+
+
+def write_short(path, names, scale, stamp, moving, pressure, seed, seconds, **layout):
+    made = measured(pressure, moving, seed, seconds=seconds)
+    columns = [scale * made[q][:, i] for q in "rup" for i in (0, 1)]
+    write(path, names, [*columns, np.rad2deg(made["phi"])], stamp, **layout)
+
+
+def write_french(folder, moving, pressure=6.0, seed=0, seconds=0.8):
+    """Write a file with `tr/min` in its name, stamps of a day, degrees in French, and a count in the header."""
+    signals = (f"{word} {axis} (µm)" for word in ("Consigne", "Actionneur", "Capteur") for axis in "xy")
+    name = f"Palier {pressure:.1f} bar".replace(".", ",") + f" 2000 tr-min {'bruit' if moving else 'repos'} {seed}.csv"
+    top = f"Enregistreur 12\nNombre de points;{round(seconds / STEP)}\n"
+    stamp = "28/11/2026 09:15:{:09.6f}".format
+    names = ("Temps", *signals, "Codeur (degrés)")
+    write_short(folder / name, names, 1e6, stamp, moving, pressure, seed, seconds, top=top)
+
+
+def write_american(folder, moving, pressure=6.0, seed=0, seconds=0.8):
+    """Write a file with psi in its name, AM/PM, the month first, and `mil pp`."""
+    signals = (f"{word} {axis} (mil pp)" for word in ("Cmd", "Act", "Prox") for axis in "xy")
+    psi = round(pressure / PSI)
+    name = f"{psi}psi_2000rpm_{'prbs' if moving else 'still'}{seed}.csv"
+    stamp = lambda t: f"11/28/2026 1:59:{59 + t:.6f} PM" if t < 1 else f"11/28/2026 2:00:{t - 1:09.6f} PM"  # noqa: E731
+    layout = {"delimiter": ",", "decimal": "."}
+    names = ("Time", *signals, "Encoder (deg)")
+    write_short(folder / name, names, 1 / 25.4e-6, stamp, moving, psi * PSI, seed, seconds, **layout)
+
+
+FRENCH_ROLES = ("r=Consigne x,Consigne y", "u=Actionneur x,Actionneur y", "p=Capteur x,Capteur y", "phi=Codeur")
+FRENCH = [word for text in FRENCH_ROLES for word in ("--signal", text)]
+AMERICAN = ["--unit", "mil"]
 
 
 def test_a_french_folder(tmp_path, capsys):
-    """`tr/min` in the names, stamps of a day, degrees in French, a count in the header."""
     folder = tmp_path / "Essais"
     folder.mkdir()
-    names = ("Temps", *(f"{word} {axis} (µm)" for word in ("Consigne", "Actionneur", "Capteur") for axis in "xy"))
-    for word, moving in (("repos", False), ("bruit", True)):
-        path = folder / f"Palier 6,0 bar 2000 tr-min {word}.csv"
-        scales = {**dict.fromkeys("rup", 1e6), "phi": 180 / np.pi}
-        top = "Enregistreur 12\nNombre de points;2000\n"
-        stamp = "28/11/2026 09:15:{:09.6f}".format
-        write_short(path, (*names, "Codeur (degrés)"), scales, moving, stamp, top=top)
-    roles = ("r=Consigne x,Consigne y", "u=Actionneur x,Actionneur y", "p=Capteur x,Capteur y", "phi=Codeur")
-    flags = [word for text in roles for word in ("--signal", text)]
-    assert gbid("init", folder, tmp_path / "own", *flags) == 0
+    for moving in (False, True):
+        write_french(folder, moving)
+    assert gbid("init", folder, tmp_path / "own", *FRENCH) == 0
     experiment = load_experiment(tmp_path / "own" / "experiment.yaml")
     assert [dict(q.conditions) for q in experiment.recordings.values()] == [
         {"pressure_bar": 6.0, "speed_rpm": 2000.0}
@@ -162,24 +187,31 @@ def test_a_french_folder(tmp_path, capsys):
 
 
 def test_an_american_folder(tmp_path, capsys):
-    """AM/PM and the month first; `mil pp` is refused, and `--unit` says what it is."""
+    """`mil pp` is refused, and `--unit` says what it is."""
     folder = tmp_path / "runs"
     folder.mkdir()
-    names = ("Time", *(f"{word} {axis} (mil pp)" for word in ("Cmd", "Act", "Prox") for axis in "xy"), "Encoder (deg)")
-    for word, moving in (("still", False), ("prbs", True)):
-        scales = {**dict.fromkeys("rup", 1 / 25.4e-6), "phi": 180 / np.pi}
-        layout = {"delimiter": ",", "decimal": "."}
-        stamp = lambda t: f"11/28/2026 1:59:{59 + t:.6f} PM" if t < 1 else f"11/28/2026 2:00:{t - 1:09.6f} PM"  # noqa: E731
-        write_short(folder / f"87psi_2000rpm_{word}.csv", names, scales, moving, stamp, **layout)
+    for moving in (False, True):
+        write_american(folder, moving)
     said = printed_by(capsys, "init", folder, tmp_path / "own", code=2).err
     assert "states 'mil pp', which is no unit" in said
     assert "--unit" in said
-    assert gbid("init", folder, tmp_path / "own", "--unit", "mil") == 0
+    assert gbid("init", folder, tmp_path / "own", *AMERICAN) == 0
     experiment = load_experiment(tmp_path / "own" / "experiment.yaml")
     for planned in experiment.recordings.values():
-        assert planned.conditions == pytest.approx({"pressure_bar": 87 * 0.0689475729, "speed_rpm": 2000.0})
+        assert planned.conditions == pytest.approx({"pressure_bar": 87 * PSI, "speed_rpm": 2000.0})
     capsys.readouterr()
     assert gbid("check", tmp_path / "own" / "experiment.yaml") == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("write_file", "flags"), [(write_french, FRENCH), (write_american, AMERICAN)])
+def test_a_french_and_an_american_folder_become_controllers_in_c(write_file, flags, tmp_path):
+    (tmp_path / "runs").mkdir()
+    for seed, (pressure, moving) in enumerate(POINTS):
+        write_file(tmp_path / "runs", moving, pressure, seed, 1.6)
+    more = ("--travel", 45, "--clearance", 25)
+    assert gbid("init", tmp_path / "runs", tmp_path / "own", *flags, *more) == 0
+    assert_becomes_a_controller_in_c(tmp_path / "own", 6)
 
 
 def test_what_is_wrong_in_an_option_is_said(tmp_path, capsys):
