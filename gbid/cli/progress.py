@@ -271,7 +271,7 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
 @contextmanager
 def _compilations_told(say: Callable[[str], None]) -> Iterator[None]:
     """Return a context that reports compilations of this process while it waits for the compiler."""
-    handler, process, logger = logging.Handler(), os.getpid(), logging.getLogger("gbid.compiled")
+    handler, process, logger = logging.Handler(), os.getpid(), logging.getLogger("gbid.core.compiled")
     handler.emit = lambda record: say(record.getMessage()) if os.getpid() == process else None  # type: ignore[method-assign]
     level = logger.level
     logger.addHandler(handler)

@@ -318,7 +318,7 @@ _LONG = 10_000  # characters of a source whose compilation takes seconds, of whi
 
 def _built(compiler: Compiler, flags: tuple[str, ...], source: str, library: Path) -> Library:
     if len(source) > _LONG:
-        logging.getLogger("gbid.compiled").info(
+        logging.getLogger("gbid.core.compiled").info(
             "compiling, once for this model and machine (%d kB of C, some seconds)", len(source) // 1000
         )
     with atomic_path(library, overwrite=True) as part:

@@ -314,7 +314,10 @@ def _check_numbers(
     for record in records:
         counts = np.ones_like(record.outputs, bool) if record.missing is None else ~record.missing
         skipped = [i for start, stop in left_out.get(record.name, ()) for i in range(record.n_samples)[start:stop]]
-        numbers += int(np.delete(counts, skipped, axis=0).sum())
+        counts = np.delete(counts, skipped, axis=0)
+        if skipped and not len(counts):
+            raise DataError(f"recording {record.name!r}: all samples are left out")
+        numbers += int(counts.sum())
     idle = kind_of(structure).anatomy().gain_only if options.focus == "simulation" else frozenset()
     free = [q.name for q in parameters if not q.fixed and q.name not in idle]
     sought = sum(len({group_name(r, local[name]) for r in records}) if name in local else 1 for name in free)

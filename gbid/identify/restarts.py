@@ -40,7 +40,6 @@ from gbid.core.notes import FitNote
 from gbid.discretise.exact import discretise
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.judge import judge
-from gbid.identify.omitted import omitted_effect
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import FitTask, Optimum, PosedProblem, minimise, strongly_coloured
 from gbid.identify.problem.assemble import automatic_window
@@ -48,6 +47,7 @@ from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
 from gbid.identify.start.start import begin_values, plant_data
+from gbid.identify.uncertainty.omitted import omitted_effect
 from gbid.structure import LinearModel, LinearStructure, Parameter, Structure
 from gbid.structure.kinds import kind_of
 from gbid.structure.linear import evaluate, symbolic_matrices

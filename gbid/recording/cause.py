@@ -53,7 +53,7 @@ def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None
     """
     source, target = source[:_ROWS], target[:_ROWS]
     n, far, size = len(target), _REACH[-1], target.std(axis=0)
-    target = target + _NOISE * size * np.random.default_rng(0).standard_normal(target.shape)
+    target = target + _NOISE * size * np.random.Generator(np.random.PCG64(0)).standard_normal(target.shape)
     if n < 6 * far:
         return None
     steps = [found for column in source.T if (found := _steps(column)) is not None]

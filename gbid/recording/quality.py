@@ -733,8 +733,11 @@ def _settles(arrivals: list[float], levels: FloatArray, counts: IntArray) -> boo
     """Return whether a signal slows down before its limit ``levels[0]``, as a step response does.
 
     A signal that its sensor clips arrives there at its usual speed, which is in steps much larger than the spacing of
-    the levels, or, when it is slow, after as much time at one level as at the next.
+    the levels, or, when it is slow, after as much time at one level as at the next. Steps of the size of rounding
+    belong to a signal without noise that has settled.
     """
+    if np.median(arrivals) <= 1e-9 * abs(levels[-1] - levels[0]):
+        return True
     spacing = np.abs(np.diff(levels[:6]))
     speed = spacing[1:] / counts[1:5]
     return bool(np.median(arrivals) <= 1.5 * np.median(spacing) and speed[:2].mean() < 0.6 * speed[2:].mean())

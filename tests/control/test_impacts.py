@@ -374,5 +374,5 @@ def test_loops_are_averaged_over_their_impacts() -> None:
         np.testing.assert_allclose(data.mean[word][:, 0], first, atol=2e-7)
         assert data.spread[word].max() < 2e-7
     assert report.plot_impact_loops(data) is not None
-    with pytest.raises(UsageError, match="at one operating point"):
+    with pytest.raises(UsageError, match="must have the same operating point"):
         report.impact_loops_data({})

@@ -64,7 +64,7 @@ def test_verb_draws_and_keeps_surfaces(campaign, capsys):
             ('lpv.order: expected 0, 1, 2, auto, or a list of terms out of "1", "P"', "found 3"),
         ),
         ("{fit: bearing, order: [P, Q]}", ("lpv.order: expected 0, 1, 2, auto", "found ['P', 'Q']")),
-        ("{fit: bearing, order: 1, actuators: nominel}", ("lpv.actuators: expected nominal", "theisen2016")),
+        ("{fit: bearing, order: 1, actuators: nominel}", ("lpv.actuators: expected the word nominal", "theisen2016")),
         ("{fit: bearing, order: 1, actuators: nominal}", ("lpv.actuators", "no section 'nominal'")),
         ("{fit: bearing, order: 1, weighting: fits, robust: true}", ("lpv.robust", "needs weighting")),
     ],

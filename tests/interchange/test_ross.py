@@ -374,5 +374,5 @@ def test_a_rotor_with_magnetic_bearings_is_the_plant_of_its_controller():
             model.frequency_response([hz])[0], expected, rtol=1e-5, atol=1e-9 * np.abs(expected).max()
         )
     assert (model.poles().real > 1).sum() == 4  # unstable without the controller
-    with pytest.raises(UsageError, match="'left' is no magnetic bearing among the unknown ones; there is"):
+    with pytest.raises(UsageError, match="'left' is no magnetic bearing with unknown coefficients; choose from"):
         gbid.export.from_ross(machine, sensors=SENSORS, actuators=[("left", "x")])

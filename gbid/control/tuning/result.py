@@ -74,7 +74,15 @@ class WorstMode:
 
     @classmethod
     def of(cls, where: str, rate: complex) -> WorstMode:
-        """Return the mode of a complex rate [rad/s]."""
+        """Return the mode of a pole.
+
+        Parameters
+        ----------
+        where : str
+            Place of the loop.
+        rate : complex
+            The pole in continuous time [rad/s].
+        """
         return cls(where, abs(rate) / (2 * np.pi), -rate.real / abs(rate) if rate else 0.0)
 
     def value(self, objective: Objective) -> float:
