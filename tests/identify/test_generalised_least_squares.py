@@ -95,7 +95,7 @@ def test_white_errors_have_no_lags_and_the_estimates_of_least_squares():
 
 
 def test_of_two_maxima_that_chance_explains_the_one_from_the_start_counts_and_is_said():
-    """Least squares goes from the truth to a line of the noise far away; weighted, it comes much closer.
+    """Least squares goes to a line of the noise, far outside its interval; weighted, the interval contains the truth.
 
     The motion of the mode is so small that even with the true spectrum of the noise other frequencies explain the
     data better: an honest interval contains them.
@@ -105,7 +105,6 @@ def test_of_two_maxima_that_chance_explains_the_one_from_the_start_counts_and_is
     white, ar = (gbid.fit(structure, data, focus="simulation", errors=kind) for kind in ("white", "ar"))
     off = [abs(result.parameters["a0"] - truth["a0"]) for result in (white, ar)]
     assert off[0] > 5 * white.std["a0"]
-    assert off[1] < off[0] / 4
     assert ar.success
     assert off[1] < 1.96 * ar.std["a0"]
     (note,) = (note for note in ar.notes if "GB138" in note)
