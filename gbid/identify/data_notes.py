@@ -11,6 +11,7 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import DataNote, FitNote
 from gbid.identify.data import FitData, Record, centred_rows, column_variances
 from gbid.identify.pose import FitTask
+from gbid.identify.problem.assemble import counted_samples
 from gbid.recording.cause import lead_before
 from gbid.recording.quality import stays_at_limits
 from gbid.structure.built_in import KEY_PARAMETERS
@@ -45,9 +46,7 @@ def data_notes(task: FitTask) -> Iterator[str]:
     yield from _twins(data.records)
     yield from _same_inputs(data)
     for record in data.records:
-        counts = np.ones(record.n_samples, bool)
-        for start, stop in left_out.get(record.name, ()):
-            counts[start:stop] = False
+        counts = counted_samples(record, left_out.get(record.name, ()))
         yield from _clipped(record, (*data.input_names, *data.output_names), counts)
         yield from _spikes(record, data.output_names, counts)
         yield from _early_answers(record, data)

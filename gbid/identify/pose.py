@@ -25,6 +25,7 @@ from gbid.identify.problem.assemble import (
     assemble,
     bounded,
     build_problem,
+    counted_samples,
     full_start,
     group_name,
     with_extra_terms,
@@ -312,12 +313,8 @@ def _check_numbers(
     left_out, local, records = options.left_out or {}, options.local or {}, data.records
     numbers = len(options.prior or {}) + sum(2 * each.response.size for each in responses)
     for record in records:
-        counts = np.ones_like(record.outputs, bool) if record.missing is None else ~record.missing
-        skipped = [i for start, stop in left_out.get(record.name, ()) for i in range(record.n_samples)[start:stop]]
-        counts = np.delete(counts, skipped, axis=0)
-        if skipped and not len(counts):
-            raise DataError(f"recording {record.name!r}: all samples are left out")
-        numbers += int(counts.sum())
+        present = np.ones_like(record.outputs, bool) if record.missing is None else ~record.missing
+        numbers += int(present[counted_samples(record, left_out.get(record.name, ()))].sum())
     idle = kind_of(structure).anatomy().gain_only if options.focus == "simulation" else frozenset()
     free = [q.name for q in parameters if not q.fixed and q.name not in idle]
     sought = sum(len({group_name(r, local[name]) for r in records}) if name in local else 1 for name in free)

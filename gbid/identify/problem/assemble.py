@@ -149,6 +149,25 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tu
     return portable(), [FitNote.SLOW_ENGINE(reason), *notes]
 
 
+def counted_samples(record: Record, left_out: Sequence[tuple[int, int]]) -> BoolArray:
+    """Return which samples of a recording are not left out, (n_samples,).
+
+    Raises
+    ------
+    DataError
+        When a stretch lies outside the recording, or all samples are left out.
+    """
+    n = record.n_samples
+    counts = np.ones(n, bool)
+    for start, stop in left_out:
+        if not 0 <= start < stop <= n:
+            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
+        counts[start:stop] = False
+    if not counts.any():
+        raise DataError(f"recording {record.name!r}: all samples are left out")
+    return counts
+
+
 def segments_of(
     record: Record, left_out: Sequence[tuple[int, int]], edges: Sequence[int], *, feeds_back: bool
 ) -> list[tuple[Segment, int]]:
@@ -158,13 +177,7 @@ def segments_of(
     feedback it runs through them on its own: a segment of simulation between two of prediction.
     """
     n = record.n_samples
-    counts, cuts = np.ones(n, bool), {0, n, *edges}
-    for start, stop in left_out:
-        if not 0 <= start < stop <= n:
-            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
-        counts[start:stop] = False
-    if not counts.any():
-        raise DataError(f"recording {record.name!r}: all samples are left out")
+    counts, cuts = counted_samples(record, left_out), {0, n, *edges}
     if feeds_back:
         cuts |= set((np.flatnonzero(np.diff(counts)) + 1).tolist())
     if record.missing is not None:
