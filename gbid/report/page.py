@@ -234,14 +234,14 @@ def page_part(name: str) -> str:
 
 
 def script_of_page() -> Markup:
-    """Return the HTML element with the script of the page."""
+    """Return the script of the page."""
     return script(*map(page_part, SCRIPTS))
 
 
 def script(*texts: str) -> Markup:
-    """Return one HTML script element for several scripts, in strict mode."""
+    """Return several scripts as one, in strict mode."""
     strict = '"use strict";\n'
-    return Markup(f"<script>\n{strict}{''.join(text.replace(strict, '') for text in texts)}</script>")
+    return Markup(strict + "".join(text.replace(strict, "") for text in texts))
 
 
 def packed_json(value: Any) -> Markup:

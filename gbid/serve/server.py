@@ -388,10 +388,7 @@ _POLICY = (
 
 @cache
 def _policy() -> str:
-    texts = (
-        str(element).removeprefix("<script>").removesuffix("</script>")
-        for element in (script_of_page(), _follow(), _explore())
-    )
+    texts = (script_of_page(), _follow(), _explore())
     digests = (b64encode(sha256(text.encode()).digest()).decode() for text in texts)
     return _POLICY.format(digests=" ".join(f"'sha256-{digest}'" for digest in digests))
 
