@@ -333,7 +333,7 @@ def too_many_harmonics(experiment: Experiment, seen: Mapping[str, Peek]) -> Iter
     prefilter = experiment.spec.prefilter
     if prefilter is None or prefilter.method != "harmonics" or prefilter.harmonics == "auto":
         return
-    if "harmonics" not in prefilter.model_fields_set:
+    if "harmonics" not in prefilter.model_fields_set:  # the default is no choice of the user
         return
     for name, head in seen.items():
         turns = abs(experiment.recordings[name].conditions.get("speed_rpm", 0.0)) / 60
@@ -346,13 +346,13 @@ def too_many_harmonics(experiment: Experiment, seen: Mapping[str, Peek]) -> Iter
 
 def controllers_too_slow(experiment: Experiment) -> Iterator[str]:
     """Yield a text for each controller that samples a mode of the rig less than twice in a period."""
-    rig = experiment.spec.rig
-    for name, section in experiment.spec.controller.items() if rig is not None else ():
-        step = section.sample_time_s
-        if rig is None or step is None:
-            continue
-        plants = (rig_model(experiment).plant_at(point.pressure_bar, point.speed_rpm) for point in rig.operating_points)
-        fastest = max((frequency for plant in plants for frequency, _ in plant.modes()[:2]), default=0.0)
+    rig, sections = experiment.spec.rig, experiment.spec.controller.items()
+    steps = {name: section.sample_time_s for name, section in sections if section.sample_time_s is not None}
+    if rig is None or not steps:
+        return
+    plants = (rig_model(experiment).plant_at(point.pressure_bar, point.speed_rpm) for point in rig.operating_points)
+    fastest = max((frequency for plant in plants for frequency, _ in plant.modes()[:2]), default=0.0)
+    for name, step in steps.items():
         if step * fastest >= 0.5:
             yield (
                 f"controller {name}: sample_time_s = {step:g} s, but the machine has a mode at {fastest:.4g} Hz: at "

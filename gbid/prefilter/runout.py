@@ -339,11 +339,8 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
 def sensor_notes(rec: Recording, position: str) -> list[str]:
     """Return notes on clipped position channels, and on jumps and stops of the shaft angle."""
     signals = [name for name in (position, "phi") if name in rec.signals]
-    clipped = find_problems(rec, signals, ("saturated",))
-    jumps = find_problems(rec, signals, ("encoder",))
-    return [DataNote.CLIPPED(problem.text) for problem in clipped] + [
-        DataNote.ANGLE_JUMPS(problem.text) for problem in jumps
-    ]
+    problems = find_problems(rec, signals, ("saturated", "encoder"))
+    return [DataNote.CLIPPED(q.text) if q.kind == "saturated" else DataNote.ANGLE_JUMPS(q.text) for q in problems]
 
 
 def running_median(values: FloatArray, size: int) -> FloatArray:
