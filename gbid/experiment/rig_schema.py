@@ -13,11 +13,11 @@ from gbid.core.option_types import (
     Duration,
     Exact,
     Finite,
+    LimitedCount,
+    LimitedCountOrZero,
     NotNegative,
     Order,
     Positive,
-    Repeats,
-    RepeatsOrZero,
 )
 from gbid.experiment.fields import Name, Names, OptionsSection, Pair, Section, Switch, Text, given
 
@@ -88,8 +88,8 @@ class RigLoopSection(ControllerChoice):
     `stationary` recordings under the controller show; ``none`` for sensors without run-out.
     """
 
-    recordings: Repeats = 2
-    stationary: RepeatsOrZero | None = None
+    recordings: LimitedCount = 2
+    stationary: LimitedCountOrZero | None = None
     amplitude_m: Positive | None = None
     hold_s: Duration | None = None
     runout: Literal["online", "offline", "none"] = "online"
@@ -107,7 +107,7 @@ class LoopSection(ControllerChoice):
 
     sampled: Switch = True
     sample_time_s: Positive | None = None
-    computation_samples: RepeatsOrZero = 1
+    computation_samples: LimitedCountOrZero = 1
     delay_s: NotNegative | None = None
     measured: Annotated[tuple[CountOrZero, ...], Field(min_length=1)] | None = None
     injected: Literal["plant input", "set point"] = "plant input"
@@ -143,13 +143,13 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1)]
 class OperatingPoint(Place):
     """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
 
-    prbs_recordings: RepeatsOrZero | None = None
+    prbs_recordings: LimitedCountOrZero | None = None
 
 
 class PrbsSection(Section):
     """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
 
-    recordings: RepeatsOrZero = 2
+    recordings: LimitedCountOrZero = 2
     amplitude_m: Positive = rig.Prbs.amplitude_m
     hold_s: Duration = rig.Prbs.hold_s
 
@@ -161,14 +161,14 @@ class PlayedSection(Section):
     """
 
     file: Text
-    recordings: Repeats = 1
+    recordings: LimitedCount = 1
     at: Places | None = None
 
 
 class StationarySection(Section):
     """Recordings with piezos at rest (paper, Sec. 3.5)."""
 
-    recordings: RepeatsOrZero = 1
+    recordings: LimitedCountOrZero = 1
     duration_s: Duration | None = None
 
 
@@ -178,11 +178,11 @@ class StaircaseSection(Section):
     `at`: operating points of the staircases; all when left out.
     """
 
-    recordings: RepeatsOrZero = 1
+    recordings: LimitedCountOrZero = 1
     at: Places | None = None
     axes: Axes = ("x", "y")
     step_m: Positive = rig.Staircase.step_m
-    steps: Repeats = rig.Staircase.steps
+    steps: LimitedCount = rig.Staircase.steps
     hold_s: Duration = rig.Staircase.hold_s
 
 
@@ -192,20 +192,20 @@ class StackStaircaseSection(Section):
     `at`: operating points of the staircases; all when left out.
     """
 
-    recordings: RepeatsOrZero = 1
+    recordings: LimitedCountOrZero = 1
     at: Places | None = None
     stacks: Annotated[tuple[Annotated[int, Exact(), Ge(1), Le(4)], ...], Field(min_length=1)] = (
         rig.StackStaircase.stack,
     )
     controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
-    steps: Repeats = rig.StackStaircase.steps
+    steps: LimitedCount = rig.StackStaircase.steps
     hold_s: Duration = rig.StackStaircase.hold_s
 
 
 class HammerSection(Section):
     """Hammer impacts, `recordings` for each axis (paper, Sec. 5.1); see `gbid.rig.Hammer` and `gbid.rig.Impact`."""
 
-    recordings: RepeatsOrZero = 1
+    recordings: LimitedCountOrZero = 1
     axes: Axes = ("x", "y")
     times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (rig.Impact.time,)
     peak_n: Positive = rig.Impact.peak
@@ -216,7 +216,7 @@ class HammerSection(Section):
 class RunUpSection(RigPart, rig.RunUp, frozen=True):
     """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
 
-    recordings: RepeatsOrZero = 1
+    recordings: LimitedCountOrZero = 1
 
 
 Course = Annotated[tuple[NotNegative, ...], Field(min_length=2)]
@@ -230,7 +230,7 @@ class CourseSection(Section):
     """
 
     name: Name
-    recordings: Repeats = 1
+    recordings: LimitedCount = 1
     duration_s: Duration | None = None
     times_s: Course | None = None
     pressure_bar: NotNegative | Course

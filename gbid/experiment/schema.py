@@ -26,11 +26,11 @@ from gbid.core.option_types import (
     Duration,
     Exact,
     Finite,
+    LimitedCount,
+    LimitedCountOrZero,
     NotNegative,
     Order,
     Positive,
-    Repeats,
-    RepeatsOrZero,
     Share,
 )
 from gbid.core.units import conversion_factor
@@ -76,9 +76,9 @@ class HammerTrain(Section):
     axes: Axes = ("x", "y")
     peak_n: Positive = 12.0
     impact_s: Duration = 2e-3
-    repeats: Repeats = 5
+    repeats: LimitedCount = 5
     spacing_s: Duration = 0.4
-    harmonics: RepeatsOrZero | None = None
+    harmonics: LimitedCountOrZero | None = None
     lags: Annotated[int, Exact(), Ge(0), Le(6)] | Literal["auto"] = "auto"
 
 
@@ -128,7 +128,7 @@ class CycleSection(Section):
     design: Name | None = None
     rounds: Annotated[int, Exact(), Ge(1), Le(MOST_ROUNDS)] = 2
     operating_points: Places | None = None
-    recordings: Repeats = 1
+    recordings: LimitedCount = 1
     in_run: Switch = True
     duration_s: Duration | None = None
     amplitude_m: Positive | None = None
@@ -441,10 +441,10 @@ class PrefilterSection(Section):
 
     method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
     align_index: Switch = False
-    harmonics: Repeats | Literal["auto"] = 10
+    harmonics: LimitedCount | Literal["auto"] = 10
     bins: Annotated[int, Exact(), Ge(4), Le(100_000)] = 100
     spikes: Switch = True
-    median: Repeats = 1
+    median: LimitedCount = 1
     remove_mean: Switch = True
     slow_roll: Names | None = None
 
