@@ -170,9 +170,12 @@ def words_of(name: str) -> list[str]:
 
 
 def name_and_unit(heading: str) -> tuple[str, str | None]:
-    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; the unit is None without brackets."""
+    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; the unit is None without brackets.
+
+    ``Y[0]`` is a name with an index; ``ratio [1]`` has the unit 1.
+    """
     match = _NAME_UNIT.fullmatch(heading)
-    if not match:
+    if not match or _INDEXED.fullmatch(heading.replace(" [", "(")):
         return heading, None
     return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
 

@@ -25,7 +25,6 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.extras import extra_package, offered
-from gbid.core.units import conversion_factor
 from gbid.recording.clock import even_step
 from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
 from gbid.recording.hdf5_links import HDF5_ENDINGS, linked, refuse_links
@@ -273,11 +272,10 @@ def _with_times(column: FileColumn, table: TextTable, index: int) -> FileColumn:
     if not table.clocks:
         return column
     clock = max((i for i in table.clocks if i <= index), default=min(table.clocks))
-    times, factor = table.clocks[clock], conversion_factor(table.units[clock] or "s", "s")
+    times = table.clocks[clock]
     step = even_step(times)
-    start = None if step is None else round(1e9 * factor * times[0])
-    stated = None if step is None else factor * step
-    return column._replace(values=column.values[: len(times)], sample_time=stated, clock=clock, start_ns=start)
+    start = None if step is None else round(1e9 * times[0])
+    return column._replace(values=column.values[: len(times)], sample_time=step, clock=clock, start_ns=start)
 
 
 CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, may_crash=True, takes_part=True, layout=csv_layout)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import csv
 import mmap
 import os
@@ -10,7 +11,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
@@ -20,9 +20,10 @@ import numpy as np
 
 from gbid.core.apart import usable_memory
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError
+from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
+from gbid.core.units import conversion_factor
 from gbid.recording.clock import MAX_RESAMPLED, even_step
 from gbid.recording.columns import (
     TIME_WORDS,
@@ -35,6 +36,7 @@ from gbid.recording.columns import (
     written_unit,
 )
 from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions
+from gbid.recording.stamps import StampError, date_of, is_stamp, times_of_day
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _CONTROL = frozenset(map(chr, range(32))) - set("\t\n\r\x0b\x0c\x1a")  # characters that no text has
@@ -196,13 +198,6 @@ _GROUPED = {  # thousands signs: a point or comma, where it is not the decimal s
 }
 _GROUPED_TWICE = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")  # a number of thousands, or of three decimals
 _THOUSAND, _ROUNDING, _UNLIKELY = 1e3, 1e-6, 2  # more than two such numbers, and none of one or two decimals
-_STAMP = re.compile(
-    r"(?:(?P<date>\d{4}[-/]\d\d?[-/]\d\d?|\d\d?(?P<sign>[-/.])(?:\d\d?|[a-z]{3})(?P=sign)(?:\d{4}|\d\d))(?:T|,?\s+))?"
-    r"(?P<hour>[01]?\d|2[0-3]):(?P<minute>[0-5]\d):(?P<second>[0-5]\d)(?:[.,](?P<part>\d{1,9}))?"
-    r"(?:\s*(?P<half>[ap])\.?\s?m\.?)?(?P<zone>Z|[-+]\d\d:?\d\d)?",
-    re.IGNORECASE,
-)
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 
 class NumberedLine(NamedTuple):
@@ -295,11 +290,6 @@ def is_comment(text: str) -> bool:
 def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number with a given decimal sign."""
     return bool(_DIGITS[decimal].fullmatch(cell.strip()))
-
-
-def is_stamp(cell: str) -> bool:
-    """Return whether a cell is a time of day, alone or after a date."""
-    return bool(_STAMP.fullmatch(cell.strip()))
 
 
 def has_thousands(cell: str, decimal: str) -> bool:
@@ -554,7 +544,9 @@ def _with_header(
     named = _last_with_time(columns, content, _without_values_below(columns, content, direct))
     named += [i for i in range(min(start, _BLOCK_LINES)) if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
-    header = next((line for line in reversed(above) if columns.is_names(without_mark(line.text))), None)
+    names = [line for line in above[::-1] if columns.is_names(without_mark(line.text))]
+    described = names[:1] if len(names) > 1 and columns.is_units(without_mark(names[0].text)) else []
+    header = next(iter(names[len(described) :]), None)
     sure = [i for i in named if not (_repeats(columns, content[i]) and columns.is_units(content[i].text))]
     named = sure if sure or header else named
     at = next((i for i in named if len(set(columns.cells(content[i].text) or ())) > 1 or columns.count == 1), None)
@@ -565,8 +557,12 @@ def _with_header(
         if unit_line is None:  # LabVIEW has it above
             unit_line = next((line for line in content[:at] if columns.says_units(line.text)), None)
         return layout(content[at], unit_line, rows_from, block)
-    units = next((line for line in content[start:first] if columns.is_units(line.text)), None)
-    return layout(header, units if header else None, rows_from)
+    units = next((i for i in range(start, first) if columns.is_units(content[i].text)), None)
+    if described or units is None:
+        return layout(header, next(iter(described), None), rows_from)
+    if header is None and units > start and _begins_with_word(content[units - 1].text):
+        header = content[units - 1]  # names such as ``x-axis,1,2``
+    return layout(header, content[units] if header else None, rows_from)
 
 
 def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
@@ -720,22 +716,44 @@ class TextTable:
 
     @cached_property
     def clocks(self) -> dict[int, FloatArray]:
-        """Times by index of time columns with a common name but different times; else none.
+        """Times [s] by index of the time columns, where channels have different times; else none.
 
         In such files each channel, or group of channels, has its time column before it, which may end earlier than the
-        others.
+        others. Time columns have a common name, a word for time in their names, or a unit of time.
+
+        Raises
+        ------
+        DataError
+            When time stamps in different columns begin on different dates.
         """
-        names = Counter(twin_name(heading) for heading in self.headings)
-        for name in (name for name, count in names.items() if name and count > 1):
-            twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == name]
-            try:
-                times = [each[~np.isnan(each)] for each in self.columns(twins).T]
-            except DataError:  # texts
-                continue
-            is_time = all(even_step(each[:-1], MAX_RESAMPLED) for each in times)  # the last one may be that of the file
-            if is_time and not all(np.array_equal(times[0], each) for each in times[1:]):
-                return dict(zip(twins, times, strict=True))
-        return {}
+        candidates = [i for i, heading in enumerate(self.headings) if twin_name(heading) or self._is_time(i)]
+        times = dict[int, FloatArray]()
+        for i in candidates if len(candidates) > 1 else ():
+            with contextlib.suppress(DataError):  # texts
+                column = self.columns([i])[:, 0]
+                column = (self._time_factor(i) or 1.0) * column[~np.isnan(column)]
+                if even_step(column[:-1], MAX_RESAMPLED):  # the last one may be that of the file
+                    times[i] = column
+        times = {i: each for i, each in times.items() if i + 1 not in times and i + 1 < len(self.headings)}
+        if not times or all(_are_equal(times[min(times)], each) for each in times.values()):
+            return {}
+        dates = {i: date_of(self.cells[0][i]) for i in times}
+        if len(set(dates.values())) > 1:
+            text = ", ".join(f"{self.headings[i]} on {date or 'no date'}" for i, date in dates.items())
+            raise DataError(f"{self.path}: time columns begin on different dates: {text}; record channels together")
+        return times
+
+    def _is_time(self, index: int) -> bool:
+        """Return whether a heading has a word for time or a unit of time."""
+        words = words_of(name_and_unit(self.headings[index])[0])
+        return bool(TIME_WORDS.intersection(words)) or self._time_factor(index) is not None
+
+    def _time_factor(self, index: int) -> float | None:
+        """Return the factor from the unit of a column to seconds; None for other units."""
+        try:
+            return conversion_factor(self.units[index] or "-", "s")
+        except UsageError:
+            return None
 
     def columns(self, indices: Sequence[int]) -> FloatArray:
         """Return selected columns as numbers, (n_rows, n_columns).
@@ -773,7 +791,11 @@ class TextTable:
     def _numbers(self, index: int) -> FloatArray:
         decimal, column = self.layout.decimal, [row[index] for row in self.cells]
         if column and is_stamp(column[0]):
-            return self._times(index, column)
+            try:
+                return times_of_day(column)
+            except StampError as error:
+                where = f"line {self.rows[error.row].number}, column {self.headings[index]!r}"
+                raise DataError(f"{self.path}: {where}: {error}") from None
         if any(has_thousands(cell, decimal) for cell in column):
             column = [_ungrouped(cell, decimal) for cell in column]
         for line, cell in zip(self.rows, column, strict=False):
@@ -781,37 +803,6 @@ class TextTable:
                 raise self._not_a_number(line, index, cell)
         cells = (cell.replace(decimal, ".").lower().replace("d", "e") if cell.strip() else "nan" for cell in column)
         return np.array([float(cell) for cell in cells])
-
-    def _times(self, index: int, column: Sequence[str]) -> FloatArray:
-        """Return time stamps in seconds since the first one.
-
-        Raises
-        ------
-        DataError
-            When a cell is no stamp of the form of the first one, or when the order of day and month decides.
-        """
-        stamps = [_stamp(cell.strip()) for cell in column]
-        orders: dict[str, dict[str, int]] = {order: {} for order in _ORDERS}  # days by date
-        for k, (form, date_text, _) in enumerate(stamps):
-            for order, days in list(orders.items()):
-                if date_text not in days and (day := _day_of(date_text, order)) is None:
-                    del orders[order]
-                elif date_text not in days:
-                    days[date_text] = day or 0
-            if not form or form != stamps[0][0] or not orders:
-                of = f" of the form of {column[0]!r} in line {self.rows[0].number}" if form and k else ""
-                text = f"{column[k]!r} is no time stamp{of}"
-                raise DataError(f"{self.path}: line {self.rows[k].number}, column {self.headings[index]!r}: {text}")
-        readings = {tuple(day - days[stamps[0][1]] for day in days.values()) for days in orders.values()}
-        if len(readings) > 1:
-            raise DataError(
-                f"{self.path}: column {self.headings[index]!r}: {column[0]!r} may begin with the day or the month, "
-                "and the date changes within the file; write dates as 2026-11-22, or leave time out and give "
-                "sample_time_s"
-            )
-        days = next(iter(orders.values()))
-        times = [_DAY_NS * days[date_text] + time for _, date_text, time in stamps]
-        return np.array([time - times[0] for time in times]) * 1e-9
 
     def _refuse_unclear(self, indices: Sequence[int], values: FloatArray) -> None:
         """Refuse columns with possible thousands separators: `1.001` after `998`, always with three decimals.
@@ -853,47 +844,14 @@ class TextTable:
         return DataError(f"{where} {cell!r} is not a number{hint}")
 
 
+def _are_equal(time: FloatArray, other: FloatArray) -> bool:
+    """Return whether two columns of times [s] are equal to a thousandth of a sample."""
+    return len(time) == len(other) and np.allclose(time, other, rtol=0, atol=1e-3 * (time[1] - time[0]))
+
+
 def _ungrouped(cell: str, decimal: str) -> str:
     match = _GROUPED[decimal].fullmatch(cell.strip())
     return cell.replace(match["sign"], "") if match else cell
-
-
-_DAY_NS = 86400 * 10**9
-_ORDERS = ("dmy", "mdy", "ymd")  # of day, month and year in a date
-
-
-def _stamp(cell: str) -> tuple[str, str, int]:
-    """Return a time stamp's form (empty for other cells), date, and time of day in nanoseconds."""
-    match = _STAMP.fullmatch(cell)
-    if match is None:
-        return "", "", 0
-    hour, half = int(match["hour"]), (match["half"] or "").lower()
-    if half and not 1 <= hour <= 12:
-        return "", "", 0
-    hour = hour % 12 + 12 * (half == "p") if half else hour
-    second = 60 * (60 * hour + int(match["minute"])) + int(match["second"])
-    if (zone := match["zone"] or "Z").upper() != "Z":
-        second -= int(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
-    form = f"{re.sub(r'[^-/.]+', '0', match['date'] or '')} {'m' * bool(half)} {'zone' * bool(match['zone'])}"
-    return form, match["date"] or "", 10**9 * second + int((match["part"] or "").ljust(9, "0"))
-
-
-def _day_of(text: str, order: str) -> int | None:
-    """Return the day number of a date with parts in a given order; None if the order does not fit."""
-    if not text:
-        return 0
-    parts = re.split("[-/.]", text.lower())
-    if (len(parts[0]) == 4 and order != "ymd") or (len(parts[2]) == 4 and order == "ymd"):
-        return None
-    if order != "dmy" and ("." in text or parts[1].isalpha()):
-        return None
-    if parts[1].isalpha():
-        parts[1] = str(_MONTHS.index(parts[1]) + 1) if parts[1] in _MONTHS else "0"
-    numbers = dict(zip(order, map(int, parts), strict=True))
-    try:
-        return date(numbers["y"] + 2000 * (numbers["y"] < 100), numbers["m"], numbers["d"]).toordinal()
-    except ValueError:
-        return None
 
 
 def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) -> TextTable:
@@ -977,7 +935,7 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
         headings = split_cells(without_mark(layout.header.text), layout.delimiter)
     if headings and headings[-1] in _UNUSED and (not headings[-1] or len(headings) == len(cells) + 1):
         headings = headings[:-1]  # a delimiter at the end of the line
-    below = split_cells(layout.unit_line.text, layout.delimiter) if layout.unit_line else []
+    below = split_cells(without_mark(layout.unit_line.text), layout.delimiter) if layout.unit_line else []
     units: list[str | None] = [name_and_unit(heading)[1] for heading in headings]
     for i, cell in enumerate(below[: len(headings)]):
         if units[i] is None and cell and cell.lower() not in _UNIT_WORDS and is_file_unit(cell):

@@ -1,5 +1,6 @@
 """Columns of one file whose clocks begin at different times, times without a unit, and headers of loggers."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import gbid
 from gbid.core.errors import DataError, UsageError
+from gbid.recording.columns import name_and_unit
 from gbid.recording.importing import list_channels, peek
 from gbid.recording.mapping import ImportMapping
 from gbid.recording.quality import find_problems
@@ -29,9 +31,9 @@ def check_aligned(recording, p, u):
     assert recording.signals["p"][:, 0] == pytest.approx(1e-6 * p[LATE:])
     assert recording.signals["u"][:, 0] == pytest.approx(1e-6 * u[:n])
     assert recording.sample_time == pytest.approx(DT, rel=1e-12)
-    assert (
-        f"(15 samples) after p: aligned on their common span of {n} samples" in recording.provenance["import_remarks"]
-    )
+    remark = recording.provenance["import_remarks"]
+    assert "(15 samples) after" in remark
+    assert f"aligned on their common span of {n} samples" in remark
 
 
 def write_csv(path, p, u, late=LATE * DT, step=DT):
@@ -77,6 +79,36 @@ def test_clocks_that_no_whole_samples_join_are_refused(tmp_path, late, step, wor
     path = write_csv(tmp_path / "a.csv", *(each.tolist() for each in signals()), late=late, step=step)
     with pytest.raises(DataError, match=words):
         gbid.import_recording(path, {**P_AND_U, "time": "Time"})
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "stamp"),
+    [
+        ("t1 (s)", "t2 (s)", "{:.4f}"),
+        ("Time p [ms]", "clock of u [us]", None),
+        ("Zeit A", "Zeit B", "28.11.2026 10:00:{:07.4f}"),
+        ("Time", "Timestamp", "23:59:{:07.4f}"),
+    ],
+)
+def test_time_columns_with_different_names(tmp_path, first, second, stamp):
+    p, u = (each.tolist() for each in signals())
+    write = stamp.format if stamp else lambda time: f"{1e3 * time:.1f}"
+    late = stamp.format if stamp else lambda time: f"{1e6 * time:.0f}"
+    rows = [f"{write(DT * k)};{p[k]!r};{late(DT * (k + LATE))};{u[k]!r}" for k in range(len(p))]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"{first};p (um);{second};u (um)", *rows, ""]))
+    recording = gbid.import_recording(path, {**P_AND_U, "time": name_and_unit(first)[0]})
+    check_aligned(recording, np.array(p), np.array(u))
+
+
+def test_two_columns_of_the_same_times_are_one_clock(tmp_path):
+    rows = [f"{DT * k:.4f},{k % 7},{0.2 * k:.1f},{1790000000 + DT * k:.4f},{k % 3}" for k in range(40)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t (s),p (um),t (ms),Epoch (s),u (um)", *rows, ""]))
+    with pytest.raises(DataError, match="no common time"):  # u stands behind a time column of its own
+        gbid.import_recording(path, {**P_AND_U, "time": "t (s)"})
+    path.write_text("\n".join(["t (s),p (um),t (ms),u (um)", *(re.sub(r",179[^,]*", "", row) for row in rows), ""]))
+    assert gbid.import_recording(path, {**P_AND_U, "time": "t (s)"}).n_samples == 40
 
 
 @pytest.mark.parametrize("key", ["wf_start_time", "wf_start_offset"])

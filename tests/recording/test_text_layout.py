@@ -119,8 +119,15 @@ def test_the_listing_says_how_a_file_is_read(tmp_path, capsys):
             ("X_Value", "Force", "Pos"),
             (None, "N", "mm"),
         ),
+        ("x-axis,1,2\nsecond,N,mm\n0.1,1.5,2\n0.2,1.6,3\n0.3,1.7,4\n", ("x-axis", "1", "2"), ("second", "N", "mm")),
+        ("% Time px py\n% s um um\n0.1 1.5 2\n0.2 1.6 3\n0.3 1.7 4\n", ("Time", "px", "py"), ("s", "um", "um")),
+        (
+            "time\tY[0]\tratio [1]\n0.1\t1.5\t2\n0.2\t1.6\t3\n0.3\t1.7\t4\n",
+            ("time", "Y[0]", "ratio [1]"),
+            (None, None, "1"),
+        ),
     ],
-    ids=["dSPACE", "Beckhoff", "LabVIEW"],
+    ids=["dSPACE", "Beckhoff", "LabVIEW", "Keysight", "comments", "index"],
 )
 def test_a_line_that_says_unit_has_the_units(tmp_path, text, names, units):
     (tmp_path / "a.txt").write_text(text)
