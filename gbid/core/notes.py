@@ -139,6 +139,7 @@ class ControlNote(NoteKind):
     CLIPPED = "GB414"
     UNMOVED_MODES = "GB415"
     IDLE_GAINS = "GB416"
+    NO_OSCILLATION = "GB417"
 
 
 FAMILIES: Mapping[str, type[NoteKind]] = MappingProxyType(

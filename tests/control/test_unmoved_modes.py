@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import block_diag
 
 import gbid
-from gbid.control import MaxDecay, MinDamping, SlowestPole
+from gbid.control import MaxDecay, MinDamping, SlowestPole, controller_at
 from gbid.structure import LinearModel
 
 PD = gbid.controller_structure("PD", axes=("",), lowpass_hz=2000.0)
@@ -99,3 +99,13 @@ def test_a_mode_that_breaks_a_limit_by_itself_stays() -> None:
     damped = gbid.tune(whole, PD, goals=[MaxDecay(), MinDamping(0.1, low_hz=125)], starts=1)
     assert damped.status == "infeasible"
     assert all(any(name in note for note in each.notes) for each in (result, damped))
+
+
+def test_damping_of_one_says_that_the_decay_is_not_maximised() -> None:
+    plant = LinearModel([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]], input_names=("r",), output_names=("p",))
+    law = gbid.controller_structure("PD", axes=("",), feedback="negative", lower=0.0, upper=3.0, kd_limit_ms=3e3)
+    result = gbid.tune(plant, law)
+    assert result.value == pytest.approx(1.0)
+    (note,) = (note for note in result.notes if "GB417" in note)
+    slowest = -np.linalg.eigvals(gbid.close_loop(plant, controller_at(law, result.gains, 0.0, 0.0)).A).real.max()
+    assert float(note.split("decays with ")[1].split()[0]) == pytest.approx(slowest, rel=0.01)

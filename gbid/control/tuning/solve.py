@@ -556,6 +556,10 @@ def summarise(
         notes = (*notes, ControlNote.NO_CERTIFICATE(text))
     reached = problem.in_units(score.value) if stable else worst.value(problem.limits.objective)
     notes = (*notes, *_unmoved(problem, names, reached))
+    if stable and problem.limits.objective == "damping" and reached > 1 - FEASIBLE and not problem.limits.soft:
+        decay = worst_mode(replace(problem, limits=Limits("decay")), x).value("decay")
+        text = f"no mode oscillates, which other gains may reach, too; the slowest mode decays with {decay:.3g} 1/s"
+        notes = (*notes, ControlNote.NO_OSCILLATION(text))
     active, peaks = _active(problem, x, names, stable), _peaks(problem, x, stable)
     if stable and not peaks and late:
         verified_on += " at first, eigenvalues alone at the end: the time was over"
