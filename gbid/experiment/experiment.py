@@ -37,7 +37,7 @@ from gbid.experiment.schema import (
 )
 from gbid.recording.formats import file_formats, format_of
 from gbid.recording.hdf5_links import HDF5_ENDINGS, files_beside
-from gbid.recording.text_files import read_table
+from gbid.recording.text_files import NumberedLine, TextLayout, TextTable, read_table
 
 # ---- Entries of the import section for the files of a folder or the rows of a table.
 
@@ -173,7 +173,7 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
     """
     path, more = folder / section.file, section.more_conditions
     try:
-        table = read_apart(read_table, path)
+        table = read_apart(read_table, path, types=(TextTable, TextLayout, NumberedLine))
         cells = table.cells
         if table.layout.remark:  # no line of conditions is left out
             raise DataError(f"{path}: {table.layout.remark}")

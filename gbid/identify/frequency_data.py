@@ -184,9 +184,11 @@ class FrequencyData(ChannelCurves, Pictured):
             When neither the file nor the caller gives standard deviations.
         """
         path = Path(path)
-        responses = getattr(format_of_ending(path.suffix.lower()), "responses", None)
+        kind = format_of_ending(path.suffix.lower())
+        read, more = (kind.responses, []) if kind and kind.responses else (_of_csv, [std is None])
         try:
-            pairs, coherent = read_apart(responses, path) if responses else read_apart(_of_csv, path, std is None)
+            packages = kind.packages if kind else ()
+            pairs, coherent = read_apart(read, path, *more, types=(PairResponse,), packages=packages)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
         if not pairs:

@@ -157,7 +157,7 @@ def _feather_rows(ipc: Any, file: Any, index: int, rows: slice) -> tuple[list[An
     return kept, total
 
 
-ARROW = array_format((".parquet", ".pq", ".feather", ".arrow"), "Parquet or Feather file", open_arrow)
+ARROW = array_format((".parquet", ".pq", ".feather", ".arrow"), "Parquet or Feather file", open_arrow, "pyarrow")
 
 
 # ---- Tables in text files (csv) with names, and often units, above the numbers.
@@ -627,7 +627,7 @@ def _load(path: Path, roots: set[str] | None) -> tuple[dict[str, Any], dict[str,
             ) from None
 
 
-MATLAB = array_format((".mat",), "MATLAB file", open_mat, states_sample_time=True)
+MATLAB = array_format((".mat",), "MATLAB file", open_mat, "matio", states_sample_time=True)
 
 
 # ---- MDF files of vehicle and test-bench loggers, versions 3 and 4, by asammdf.
@@ -714,7 +714,7 @@ def _places(file: Any) -> dict[str, list[tuple[int, int]]]:
     return {**named, **by_group}
 
 
-MDF = array_format((".mf4", ".mdf"), "MDF file", open_mdf, states_sample_time=True)
+MDF = array_format((".mf4", ".mdf"), "MDF file", open_mdf, "asammdf", states_sample_time=True)
 
 
 # ---- Archives of numpy (npz).
@@ -836,7 +836,7 @@ def _unscaled_tdms(levels: Iterable[Mapping[str, Any]]) -> str:
     return ""
 
 
-TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)
+TDMS = array_format((".tdms",), "TDMS file", open_tdms, "nptdms", states_sample_time=True)
 
 
 # ---- WAV files of sound cards and acoustic front ends, by scipy.
@@ -867,12 +867,12 @@ def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     yield OpenFile(get, lambda: [("data", lambda: data)])
 
 
-WAV = array_format((".wav",), "WAV file", open_wav, states_sample_time=True)
+WAV = array_format((".wav",), "WAV file", open_wav, "scipy.io", states_sample_time=True)
 
 
 # ---- Universal files of modal analysis, by pyuff.
 
 UNIVERSAL = replace(
-    array_format((".uff", ".unv", ".uf"), "universal file", open_universal, states_sample_time=True),
+    array_format((".uff", ".unv", ".uf"), "universal file", open_universal, "pyuff", states_sample_time=True),
     responses=read_responses,
 )

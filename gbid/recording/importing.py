@@ -21,11 +21,13 @@ from gbid.recording.clock import has_one_clock, joined, on_grid, read_clock, res
 from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.formats import file_formats, format_of, iddata_in
 from gbid.recording.hdf5_links import files_beside
+from gbid.recording.iddata import IddataChannel, IddataExperiment
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
-from gbid.recording.readers import FileChannel, FileFormat
+from gbid.recording.readers import FileChannel, FileFormat, PairResponse
 from gbid.recording.recording import Recording
 
 _OF_TEXT = ("read", "channels", "peek", "layout")  # functions of a format that take the layout of a text file
+_ANSWERS = (FileColumn, FileChannel, PairResponse)  # types in what those functions return
 
 
 def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
@@ -152,7 +154,9 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
     path = given_path(path)
     refuse_special(path)
     try:
-        experiments = read_apart(iddata_in, path, variable)
+        experiments = read_apart(
+            iddata_in, path, variable, types=(IddataExperiment, IddataChannel), packages=("matio",)
+        )
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     recordings = []
@@ -240,7 +244,9 @@ def file_format(path: Path, options: TextOptions | None = None, part: FilePart |
     if not kind.may_crash:
         return kind
     apart: dict[str, Any] = {
-        key: partial(read_apart, each) for key in (*_OF_TEXT, "responses") if (each := getattr(kind, key)) is not None
+        key: partial(read_apart, each, types=_ANSWERS, packages=kind.packages)
+        for key in (*_OF_TEXT, "responses")
+        if (each := getattr(kind, key)) is not None
     }
     return replace(kind, **apart)
 

@@ -101,6 +101,8 @@ class FileFormat:
         functions then run in a process of their own.
     takes_part : bool
         Whether `read` takes a `FilePart` by the name ``part``.
+    packages : tuple of str
+        Optional or large packages that its functions import.
     layout : callable, optional
         For text formats: from the path to the layout of the table, as plain values for the listing. The functions of
         such a format take `TextOptions` as their last argument.
@@ -116,6 +118,7 @@ class FileFormat:
     states_sample_time: bool = False
     may_crash: bool = False
     takes_part: bool = False
+    packages: tuple[str, ...] = ()
     layout: Callable[..., dict[str, Any]] | None = None
     responses: Callable[[Path], tuple[dict[tuple[str, str], PairResponse], bool]] | None = None
 
@@ -215,12 +218,14 @@ Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]
 """From a file and the names that are wanted (None: all) to a context with the open file."""
 
 
-def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sample_time: bool = False) -> FileFormat:
+def array_format(
+    endings: tuple[str, ...], what: str, opener: Opener, *packages: str, states_sample_time: bool = False
+) -> FileFormat:
     """Return a format of files with named arrays, read in a separate process because the library may crash.
 
     Parameters
     ----------
-    endings, states_sample_time
+    endings, packages, states_sample_time
         As for `FileFormat`.
     what : str
         Kind of file in words, for messages.
@@ -234,6 +239,7 @@ def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sam
         states_sample_time=states_sample_time,
         may_crash=True,
         takes_part=True,
+        packages=packages,
     )
 
 

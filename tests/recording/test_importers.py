@@ -520,7 +520,9 @@ def test_of_a_large_csv_file_the_ends_are_looked_at(tmp_path, monkeypatch, eol):
     path.write_bytes(b"# made by hand" + eol.encode() + eol.encode().join(lines))
     mapping = ImportMapping.from_dict({"signals": {"p": {"columns": ["a", "b"], "unit": "um"}}, "time": "t"})
     complete = list_channels(path), read_layout(path), peek(path, mapping)
-    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
+    monkeypatch.setattr(
+        importing, "read_apart", lambda read, *arguments, **_: read(*arguments)
+    )  # see it in this process
     monkeypatch.setattr(text_files, "_END", 4000)
     monkeypatch.setattr(text_files, "_BLOCK", 3000)
     monkeypatch.setattr(Path, "read_bytes", None)
@@ -550,7 +552,9 @@ def test_a_cell_longer_than_the_reader_takes_is_named(tmp_path):
 
 def test_a_text_file_beyond_the_memory_is_refused(tmp_path, monkeypatch):
     path = write_csv(tmp_path / "a.csv")
-    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
+    monkeypatch.setattr(
+        importing, "read_apart", lambda read, *arguments, **_: read(*arguments)
+    )  # see it in this process
     monkeypatch.setattr(text_files, "usable_memory", lambda: 100_000)
     refused(path, {"signals": {"p": BOTH}, "time": "t"}, "of memory, of which this process can use 100", "Parquet")
 

@@ -257,7 +257,9 @@ def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, pa
     for module in [name for name in sys.modules if name.partition(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
+    monkeypatch.setattr(
+        importing, "read_apart", lambda read, *arguments, **_: read(*arguments)
+    )  # see it in this process
     refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
     assert f"pip install 'gbid[{extra}]'" in printed_by(capsys, "peek", str(path), code=2).err
 
@@ -266,7 +268,7 @@ def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
-    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))
+    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments, **_: read(*arguments))
     path, p = tmp_path / "a.parquet", np.random.default_rng(3).normal(size=60)
     parquet.write_table(pyarrow.table({"p": p}), path, write_page_checksum=True, compression="none")
     good, refusals = path.read_bytes(), 0

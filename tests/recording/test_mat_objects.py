@@ -142,7 +142,9 @@ def test_a_damaged_object_is_named(tmp_path, monkeypatch):
         raise ValueError("unknown subsystem")
 
     monkeypatch.setattr("matio.load_from_mat", fails)
-    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
+    monkeypatch.setattr(
+        importing, "read_apart", lambda read, *arguments, **_: read(*arguments)
+    )  # see it in this process
     text = refused(path, "data.InputData[0]")
     assert "not a readable MATLAB file at data (iddata)" in text
     assert f"unknown subsystem; {PLAIN}" in text

@@ -1,6 +1,8 @@
 """Readers in a process of their own: crashes, hangs, memory, and files that make libraries do that."""
 
+import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -19,6 +21,7 @@ import gbid
 from gbid.core import apart as reader_process
 from gbid.core.apart import read_apart
 from gbid.core.errors import DataError
+from gbid.recording.readers import PairResponse
 
 MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["y"], "unit": "m"}}}
 
@@ -48,6 +51,7 @@ def test_a_relative_path_counts_from_the_folder_of_the_request(file, monkeypatch
         (bad_readers.sleeping, "time-out: not read within 2 s; the drive answers late, or the machine is too busy"),
         (bad_readers.hungry, "needs more memory than the file can contain"),
         (bad_readers.raising, r"cannot be read, .*\(NotImplementedError: compression type 9\); save it again"),
+        (bad_readers.attacking, "cannot be read"),
         (bad_readers.ending, r"its reader ended \(exit code 7\)"),
     ],
 )
@@ -59,6 +63,39 @@ def test_what_a_library_does_is_an_error_of_the_file(file, reader, words, monkey
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
     assert read_apart(bad_readers.good, file, 3) == 3000  # the next file is read
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux confines the reader process")
+def test_a_library_can_only_read(file):
+    assert read_apart(bad_readers.unlocked, file) == []
+    assert file.read_bytes() == bytes(1000)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        pickle.dumps([bad_readers.Attack()]) + b"\n",
+        b'[{"Attack": []}, null, 0, []]\n',
+        b'[{"array": 0}, null, 0, [["|O8", [1]]]]\n' + bytes(8),
+        b'[{"array": 0}, null, 0, [["<f8", [9e99]]]]\n',
+        b'[{"array": 0}, null, 0, [["<f8", [1099511627776]]]]\n',
+        b"[" * 100_000 + b"\n",
+        b"[]\n",
+    ],
+)
+def test_what_a_library_forges_is_an_error_of_the_file(file, answer):
+    with pytest.raises(DataError, match=r"its reader answered with something else than data .*do not use it"):
+        read_apart(bad_readers.forging, file, answer)
+
+
+def test_values_come_back_as_they_were(file):
+    sent = {"a": (1, None, True, "ä\n", -math.inf), ("b", 2): [np.array(3.5), np.zeros((0, 2), "<c8"), np.eye(3).T[:2]]}
+    value = read_apart(
+        bad_readers.returning, file, {**sent, "c": PairResponse(sent["a"], file, None)}, types=(PairResponse,)
+    )
+    assert value.pop("c") == PairResponse(sent["a"], file, None)
+    assert repr(value) == repr(sent)
+    assert [each.dtype for each in value["b", 2]] == [each.dtype for each in sent["b", 2]]
 
 
 def test_only_processor_time_counts(file, monkeypatch):
