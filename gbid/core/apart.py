@@ -176,8 +176,8 @@ class ReaderProcess:
             try:
                 folder = None if path.is_absolute() else Path.cwd()  # that of the process may be another
                 answer = _answer(child, limits.memory, types, (limits, folder, self._packages, read, path, *arguments))
-            except _INVALID as error:
-                text = f"its reader answered with something else than data ({type(error).__name__}: {error})"
+            except _INVALID as fault:
+                text = f"its reader answered with something else than data ({type(fault).__name__}: {fault})"
                 raise DataError(
                     f"{path}: {text}; the file may attack the library that reads it: do not use it"
                 ) from None
@@ -302,8 +302,9 @@ def _answer(
             raise ValueError("its arrays need more memory than the file can contain")
         arrays = [_empty(kind, shape) for kind, shape in layouts]
         for array in arrays:
-            if array.size and child.stdout.readinto(_bytes(array)) != array.nbytes:
+            if len(content := child.stdout.read(array.nbytes)) != array.nbytes:
                 return None
+            _bytes(array)[:] = content
     except OSError:
         return None
     return _decoded(value, {each.__name__: each for each in types}, arrays), _error(error), float(seconds)

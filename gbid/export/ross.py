@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from inspect import signature
 from math import cos, isfinite, pi, sin
 from typing import Annotated, Any
 
@@ -105,7 +106,7 @@ def bearing_element(
     Returns
     -------
     ross.BearingElement
-        With stiffness [N/m] and damping [N s/m], and `frequency` the speeds [rad/s].
+        With stiffness [N/m] and damping [N s/m] over the speeds [rad/s]: `speed`, or `frequency` in ROSS 2.
 
     Raises
     ------
@@ -131,7 +132,8 @@ def bearing_element(
         speeds = np.linspace(*what.domain.speed_rpm, _N_SPEEDS) if speed_rpm is None else np.atleast_1d(speed_rpm)
         values = what.key_parameters(float(pressure_bar), np.asarray(speeds, float))
         given = {key: np.broadcast_to(value, np.shape(speeds)) for key, value in values.items()}
-        frequency = {"frequency": 2.0 * pi / 60.0 * np.asarray(speeds, float)} if np.size(speeds) > 1 else {}
+        axis = "speed" if "speed" in signature(ross.BearingElement.__init__).parameters else "frequency"  # ROSS 3 or 2
+        over = {axis: 2.0 * pi / 60.0 * np.asarray(speeds, float)} if np.size(speeds) > 1 else {}
     else:
         missing = [key for key in ("k_xx", "d_xx") if key not in what.parameters]
         if missing:
@@ -142,15 +144,15 @@ def bearing_element(
             raise UsageError(
                 f"bearing element of fit {what.structure!r}: a fit holds at one operating point; leave it out"
             )
-        given, frequency = {key: np.array([value]) for key, value in what.parameters.items()}, {}
+        given, over = {key: np.array([value]) for key, value in what.parameters.items()}, {}
     coefficients = {
         f"{ours}{pair}": (-mass_kg * given[f"{theirs}_{pair}"]).tolist()
         for ours, theirs in (("k", "k"), ("c", "d"))
         for pair in ("xx", "xy", "yx", "yy")
     }
-    if not frequency:
+    if not over:
         coefficients = {key: values[0] for key, values in coefficients.items()}
-    return ross.BearingElement(n=node, tag=tag, **coefficients, **frequency)
+    return ross.BearingElement(n=node, tag=tag, **coefficients, **over)
 
 
 # ---- Finite-element rotor of ROSS as a structure: lateral equations, modal reduction, unknown bearings.

@@ -193,7 +193,18 @@ def test_wrong_arguments_are_one_line(change, words):
     assert "\n" not in str(caught.value)
 
 
-def test_an_identified_bearing_is_an_element_with_units_and_signs_of_ross():
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_identified_bearing_is_an_element_with_units_and_signs_of_ross(version, monkeypatch):
+    ross = ross_package("this test")
+
+    class OfRoss3(ross.BearingElement):
+        """Element with the argument of ROSS 3, which is not released yet."""
+
+        def __init__(self, n, *, speed=None, **coefficients):
+            super().__init__(n=n, frequency=speed, **coefficients)
+
+    if version == 3:
+        monkeypatch.setattr(ross, "BearingElement", OfRoss3)
     mass, speeds = 2.5, np.array([0.0, 2000.0, 6000.0])
     element = bearing_element(MODEL, 3, mass_kg=mass, pressure_bar=6.0, speed_rpm=speeds)
     values = MODEL.key_parameters(6.0, speeds)
