@@ -62,6 +62,7 @@ def test_what_a_library_does_is_an_error_of_the_file(file, reader, words, monkey
         read_apart(reader, file)
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
+    monkeypatch.undo()
     assert read_apart(bad_readers.good, file, 3) == 3000  # the next file is read
 
 
