@@ -100,6 +100,7 @@ Duration = Annotated[float, Exact(finite=True), Gt(0), Le(36_000)]
 Names = Annotated[tuple[str, ...], OneText()]
 
 
+_DEEPEST = 50  # lists and mappings one within another
 _First = TypeVar("_First")
 _Second = TypeVar("_Second")
 _Made = TypeVar("_Made")
@@ -158,12 +159,18 @@ def types_of(made: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(made)}
 
 
-def plain(value: Any) -> Any:
+def _refuse_depth(depth: int) -> None:
+    if depth > _DEEPEST:
+        raise UsageError(f"values are nested more than {_DEEPEST} deep, or in themselves; give them flat")
+
+
+def plain(value: Any, depth: int = 0) -> Any:
     """Return a value as JSON has it: dicts, tuples (for lists and arrays), numbers of Python."""
+    _refuse_depth(depth)
     if isinstance(value, Mapping):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: plain(each, depth + 1) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return tuple(map(plain, value))
+        return tuple(plain(each, depth + 1) for each in value)
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -259,10 +266,11 @@ def _annotated(function: Any) -> tuple[inspect.Signature, dict[str, CheckedType]
     return signature, {name: CheckedType(hints[name]) for name in signature.parameters if name in hints}
 
 
-def _has_nan(value: Any) -> bool:
+def _has_nan(value: Any, depth: int = 0) -> bool:
     """Return whether a number is nan, also within lists and mappings; arrays of data may contain nan."""
     if isinstance(value, list | tuple | Mapping) and len(value) <= 1000:
-        return any(map(_has_nan, value.values() if isinstance(value, Mapping) else value))
+        _refuse_depth(depth)
+        return any(_has_nan(each, depth + 1) for each in (value.values() if isinstance(value, Mapping) else value))
     return isinstance(value, float | np.floating) and math.isnan(value)
 
 

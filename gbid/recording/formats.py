@@ -283,6 +283,7 @@ CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, may_crash=True, ta
 
 # ---- HDF5 files of other programs: datasets and fields of tables by their paths.
 
+_MOST_LISTED = 4000  # entries: each takes up to a millisecond
 _UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "Unit_string", "unit_string")
 
 
@@ -308,7 +309,7 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
         def every() -> Iterator[tuple[str, StoredReader]]:
             """Yield the path of each dataset or table field, with a function that reads it."""
-            for name, dataset in file.datasets():
+            for name, dataset in file.datasets(_MOST_LISTED):
                 if isinstance(dataset, DataError):
                     yield name, partial(_fail, dataset)
                 elif dataset.dtype.names:
@@ -328,7 +329,7 @@ def _fail(error: Exception) -> StoredArray:
 def _stored_hdf5(dataset: Any, field: str | None, part: FilePart = ALL) -> StoredArray:
     """Return a dataset or table field with its unit; tables may state a unit for each field."""
     keys = _UNIT_ATTRIBUTES if field is None else (f"{field}_units", f"{field}_unit")
-    stated = (dataset.attrs.get(key) for key in keys)
+    stated = (dataset.attrs.get(key) for key in keys) if h5py.h5a.get_num_attrs(dataset.id) else ()
     unit = next((each for each in stated if isinstance(each, str | bytes)), None)
     if dataset.shape is None:
         return StoredArray(np.zeros(0))
@@ -346,6 +347,8 @@ _OFFSETS = ("add_offset", "offset", "intercept")
 
 def _unscaled_hdf5(dataset: Any) -> str:
     """Return a text on the scale that an HDF5 dataset states but h5py does not apply; empty if it has none."""
+    if not h5py.h5a.get_num_attrs(dataset.id):
+        return ""
     for neutral, keys in ((1, _FACTORS), (0, _OFFSETS)):
         for key in (spelled for each in keys for spelled in (each, each.capitalize(), each.upper())):
             value = np.asarray(dataset.attrs.get(key, neutral))  # to iterate fails where storage is external

@@ -8,6 +8,8 @@ it, and have all samples.
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import zip_longest
@@ -54,6 +56,7 @@ class LinkedFile:
         self._folder = None if alone else path.absolute().parent.resolve()
         self._roots: dict[Path, ObjectInFile] = {}
         self._root = self._opened(path.absolute())
+        self._symbolic = False  # whether a linked file was reached by a symbolic link to it
         self.used: dict[Path, None] = {}
 
     def dataset(self, name: str) -> h5py.Dataset | None:
@@ -67,9 +70,15 @@ class LinkedFile:
         place = self._find(self._root, _bytes(name))
         return None if place is None else self._dataset(place, name)
 
-    def datasets(self) -> Iterator[tuple[str, h5py.Dataset | DataError]]:
-        """Yield each dataset once, with its path; an unreadable dataset is replaced by its error."""
-        todo, seen = [(b"", self._root, b"")], set[tuple[int, int]]()
+    def datasets(self, most: int = sys.maxsize) -> Iterator[tuple[str, h5py.Dataset | DataError]]:
+        """Yield each dataset once, with its path; an unreadable dataset is replaced by its error.
+
+        Raises
+        ------
+        DataError
+            When the groups have more entries than `most`.
+        """
+        todo, seen, count = [(b"", self._root, b"")], set[tuple[int, int]](), 0
         while todo:
             way, group, part = todo.pop()
             if part and group.item.links.get_info(part).type == h5py.h5l.TYPE_SOFT:
@@ -91,6 +100,10 @@ class LinkedFile:
                 yield name, dataset
             elif isinstance(place.item, h5py.h5g.GroupID):
                 parts: list[bytes] = []
+                count += place.item.get_num_objs()
+                if count > most:
+                    text = f"{self._path}: {count} entries or more, of which at most {most} are listed"
+                    raise DataError(f"{text}; name the columns in a mapping, or save the channels as one dataset")
                 place.item.links.iterate(parts.append)
                 todo += [(b"/".join(filter(None, (way, part))), place, part) for part in reversed(parts)]
 
@@ -161,6 +174,7 @@ class LinkedFile:
             raise DataError(f"{shown}, outside the folder of the data; copy it into this folder, or {_INSTEAD}")
         if not other.is_file():
             raise DataError(f"{shown}, which is no file; {_INSTEAD}")
+        self._symbolic |= (file.parent / text).is_symlink()
         self.used[other] = None
         return other
 
@@ -189,8 +203,12 @@ class LinkedFile:
             found = self._find(self._opened(other), _bytes(source))
             if found is None or not isinstance(found.item, h5py.h5d.DatasetID):
                 raise DataError(f"{what} takes its data from {other.name}/{source}, which is not there; {_INSTEAD}")
-            if found.file != other or found.item.get_create_plist().get_external_count():
-                raise DataError(f"{what} takes its data from {other.name}/{source}, itself a link; {_INSTEAD}")
+            if found.item.get_create_plist().get_external_count():
+                text = f"{what} takes its data from {other.name}/{source}, whose numbers are in a third file"
+                raise DataError(f"{text}, which HDF5 looks for in the current folder; {_INSTEAD}")
+            if found.file != other and (self._symbolic or "HDF5_EXT_PREFIX" in os.environ):
+                text = f"{what} takes its data from {other.name}/{source}, a link that HDF5 follows by itself"
+                raise DataError(f"{text}, perhaps to another folder by a symbolic link; {_INSTEAD}")
             self._check_storage(found, source, depth + 1)
             selected, shape = made.get_virtual_srcspace(i), found.item.shape or (0,)
             try:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError, nearest
-from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options, plain
 
 DELIMITERS = (",", ";", "\t", " ")
 """Delimiters that are tried, in this order; the blank stands for any number of blanks and tabs."""
@@ -163,8 +163,11 @@ class SignalMapping:
     calibration: Calibration | tuple[Calibration, ...] | None = None
 
     def __post_init__(self) -> None:
+        plain(vars(self))  # refuses values that contain themselves
         object.__setattr__(self, "columns", _words("columns", self.columns))
-        object.__setattr__(self, "calibration", _calibrations(self.calibration))
+        given: Any = self.calibration
+        is_list = isinstance(given, list | tuple)
+        object.__setattr__(self, "calibration", tuple(map(_calibration, given)) if is_list else _calibration(given))
         if self.hold and self.interpolate:
             raise UsageError("hold and interpolate are both true; an input is one of them between its samples")
         if self.channels is not None:
@@ -266,6 +269,7 @@ class ImportMapping:
     header_line: CountOrZero | None = None
 
     def __post_init__(self) -> None:
+        plain(vars(self))
         object.__setattr__(self, "signals", _signals(self.signals))
         check_options(self)
         object.__setattr__(self, "conditions", dict(self.conditions))
@@ -312,6 +316,7 @@ class ImportMapping:
             When a key is unknown, given twice or missing, or when a value has the wrong type.
         """
         known = [f.name for f in fields(cls)]
+        plain(entries)
         _check_keys(entries, [*known, "sample_time_s"], needed=["signals"])
         entries = dict(entries)
         if "sample_time_s" in entries:
@@ -342,14 +347,14 @@ def _signals(signals: object) -> dict[str, SignalMapping]:
     return result
 
 
-def _calibrations(value: Any) -> Any:
-    """Return calibrations in plain dicts as `Calibration`; other values are unchanged."""
-    if isinstance(value, Mapping):
-        _check_keys(value, ["points"], needed=["points"])
-        points = value["points"]
-        is_list = isinstance(points, list | tuple) and all(isinstance(each, list | tuple) for each in points)
-        return Calibration(tuple(map(tuple, points)) if is_list else points)
-    return tuple(map(_calibrations, value)) if isinstance(value, list | tuple) else value
+def _calibration(value: Any) -> Any:
+    """Return a calibration in a plain dict as `Calibration`; other values are unchanged."""
+    if not isinstance(value, Mapping):
+        return value
+    _check_keys(value, ["points"], needed=["points"])
+    points = value["points"]
+    is_list = isinstance(points, list | tuple) and all(isinstance(each, list | tuple) for each in points)
+    return Calibration(tuple(map(tuple, points)) if is_list else points)
 
 
 def _each(key: str, value: Any, count: int) -> tuple[Any, ...]:

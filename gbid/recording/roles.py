@@ -13,21 +13,32 @@ from gbid.recording.readers import FileChannel
 ROLES = ("r", "u", "p", "phi")
 """Signals of a gas bearing: references and positions of the piezos, position of the disc, shaft angle."""
 _WORDS = {
-    "r": {"r", "ref", "cmd", "command", "demand", "set", "target"},
+    "r": {"r", "ref", "cmd", "command", "demand", "set", "target", "rif", "mando"},
     "u": {"u", "stack", "stellweg", "stellgröße", "stellgroesse", "act"},
     "phi": {"phi", "angle", "theta", "resolver", "enc"},
-    "p": {"p", "pos", "weg", "wege", "disp", "displacement", "disc", "disk", "gap", "probe", "prox", "shaft", "rotor"},
+    "p": {
+        *("p", "pos", "weg", "wege", "disp", "displacement", "disc", "disk", "gap", "probe", "prox", "shaft", "rotor"),
+        *("rotore", "albero", "disco", "sonda", "arbre", "disque", "sonde", "eje"),
+    },
 }
-_STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelgeber
-    "r": ("soll", "refer", "setpoint", "führung", "fuehrung"),
-    "u": ("piezo", "aktor", "aktuator", "actuator"),
-    "phi": ("winkel", "drehwinkel", "drehgeber", "encoder"),
-    "p": ("spalt", "position", "lage", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle", "proximity"),
+_STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelgeber, and for other languages
+    "r": ("soll", "refer", "référ", "rifer", "setpoint", "führung", "fuehrung", "consign", "comand"),
+    "u": ("piezo", "piézo", "aktor", "aktuator", "actuat", "actuad", "actionn", "attuat"),
+    "phi": ("winkel", "drehwinkel", "drehgeber", "encoder", "angol", "angul", "ángul", "codeur", "codificador"),
+    "p": (
+        *("spalt", "position", "lage", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle", "proximity"),
+        *("spost", "posiz", "distanz", "traferro", "déplac", "deplac", "entrefer", "desplaz", "posici", "entrehierro"),
+    ),
 }
-_OTHER = re.compile("drehzahl|speed|rpm|umin|druck|pressure|temp|kraft|force|strom|current|spannung|voltage|trigger")
+_OTHER = re.compile(
+    "drehzahl|speed|rpm|umin|velo|vitesse|giri|tours?$|druck|press|presi|temp|kraft|force|forza|fuerza|effort|strom"
+    "|current|corrente|courant|corriente|spannung|voltage|tension|tensi[oó]n|trigger|moment|coppia|drehmoment|torque"
+)
 _AXES = {
     **dict.fromkeys(("x", "a", "h", "hor", "horizontal", "waagerecht", "left", "links"), 0),
+    **dict.fromkeys(("horizontale", "orizzontale", "sinistra", "sinistro", "gauche", "izquierda", "izquierdo"), 0),
     **dict.fromkeys(("y", "b", "v", "ver", "vert", "vertical", "vertikal", "senkrecht", "right", "rechts"), 1),
+    **dict.fromkeys(("verticale", "destra", "destro", "droite", "droit", "derecha", "derecho"), 1),
 }
 _SHORT = re.compile(r"(r|u|p)([xyabhv12])")
 _UNKNOWN = "no known name of a signal"

@@ -486,8 +486,8 @@ class _Candidate:
 
     def is_row(self, text: str) -> bool:
         """Return whether a line has numbers in the numeric columns."""
-        row = self.cells(text)
-        if row is None or not self.numeric or any(row[i] for i in self.empty if i < len(row)):
+        row = self.cells(text) if self.numeric else None
+        if row is None or any(row[i] for i in self.empty if i < len(row)):
             return False
         return self._has_numbers(row)
 

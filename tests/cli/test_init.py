@@ -129,6 +129,19 @@ def test_a_text_without_a_table_beside_files_of_any_ending_is_left_out_with_the_
         ("t;CmdH;CmdV;ActuatorH;ActuatorV;GapH;GapV;ShaftEncoder", {"r": "Cmd", "u": "Actuator", "p": "Gap"}),
         ("t;Soll hor;Soll vert;Piezo hor;Piezo vert;Lage hor;Lage vert;Drehgeber", {"r": "Soll", "p": "Lage"}),
         ("t;set left;set right;act left;act right;prox left;prox right;enc", {"r": "set", "u": "act", "p": "prox"}),
+        (
+            "tempo;Rif. X;Rif. Y;Attuatore X;Attuatore Y;Spostamento X;Spostamento Y;Forza;Velocità;Angolo",
+            {"r": "Rif", "u": "Attuatore", "p": "Spostamento"},
+        ),
+        (
+            "temps;Consigne horizontale;Consigne verticale;Actionneur horizontale;Actionneur verticale;"
+            "Déplacement horizontale;Déplacement verticale;Pression;Vitesse;Codeur",
+            {"r": "Consigne", "u": "Actionneur", "p": "Déplacement"},
+        ),
+        (
+            "tiempo;Consigna x;Consigna y;Actuador x;Actuador y;Desplazamiento x;Desplazamiento y;Presión;Ángulo",
+            {"r": "Consigna", "u": "Actuador", "p": "Desplazamiento"},
+        ),
         ("time;data.r[0];data.r[1];data.u[0];data.u[1];y;x;encoder", {"r": "data.r", "u": "data.u", "p": ""}),
     ],
 )

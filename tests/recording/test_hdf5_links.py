@@ -87,7 +87,7 @@ class Made:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_byte_comes_from_outside_the_folder(tmp_path, monkeypatch, seed):
-    """In 200 files with one to three links one after another; inside it, what HDF5 would resolve alone is refused."""
+    """In 200 files with one to three links in a row; inside it, only storage beside a linked file is refused."""
     random = Random(seed)
     made = Made(tmp_path, random)
     monkeypatch.chdir(made.private)  # where HDF5 looks for files, too
@@ -97,10 +97,37 @@ def test_no_byte_comes_from_outside_the_folder(tmp_path, monkeypatch, seed):
         assert isinstance(listed, str) or not {value for each in listed for value in each.first} & set(SECRET)
         if isinstance(values, str):
             assert str(path) in values
-            assert outside or "itself a link" in values
+            assert outside or "looks for in the current folder" in values
         else:
             assert not outside
             np.testing.assert_array_equal(values, INSIDE)
+
+
+def test_a_symbolic_link_before_a_link_is_refused_where_hdf5_follows_it(tmp_path):
+    made = Made(tmp_path, Random(0))
+    with h5py.File(made.sub / "b.h5", "w") as file:
+        file["y"] = h5py.ExternalLink("c.h5", "/y")
+    with h5py.File(made.sub / "c.h5", "w") as file:
+        file["y"] = INSIDE
+    (made.data / "b.h5").symlink_to(made.sub / "b.h5")
+    for name, refused in (("sub/b.h5", False), ("b.h5", True)):
+        with h5py.File(made.data / "a.h5", "w") as file:
+            layout = h5py.VirtualLayout((N,), "f8")
+            layout[:] = h5py.VirtualSource(name, "y", (N,))
+            file.create_virtual_dataset("y", layout)
+        values = result_of(read, made.data / "a.h5")
+        assert ("follows by itself" in values) if refused else np.array_equal(values, INSIDE)
+
+
+def test_many_datasets_are_not_listed_but_one_is_read(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["y"] = INSIDE
+        for i in range(4100):
+            file[f"d{i}"] = i
+    with pytest.raises(DataError, match="4101 entries or more"):
+        list_channels(path)
+    np.testing.assert_array_equal(read(path), INSIDE)
 
 
 def result_of(function, path):

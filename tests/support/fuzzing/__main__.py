@@ -29,7 +29,7 @@ from fuzzing.targets import FuzzTarget, fuzz_targets
 from fuzzing.zip_mutations import npz_bomb
 
 _FORK = multiprocessing.get_context("fork")
-_GRACE = 5.0  # beyond the time of one input, before its process is ended
+_STUCK = 600.0  # time [s] on a loaded machine after which the process of an input is ended
 _ADDRESSES = 4 << 30  # most memory of a process of ours, beyond which python raises MemoryError
 _AT_ONCE = 500  # inputs that a process reads
 _KEPT = 200  # most faults that are written
@@ -191,7 +191,7 @@ def _work(pipe: Connection, targets: list[FuzzTarget], seed: int, numbers: list[
     os.chdir("/")
     with tempfile.TemporaryDirectory() as folder:
         for number in numbers:
-            signal.setitimer(signal.ITIMER_REAL, HANG + _GRACE)
+            signal.setitimer(signal.ITIMER_REAL, _STUCK)
             target, content = made_input(targets, seed, number)
             pipe.send(try_input(target, content, Path(folder)))
 

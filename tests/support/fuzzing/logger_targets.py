@@ -12,6 +12,7 @@ import tempfile
 import wave
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -21,9 +22,11 @@ import numpy as np
 
 import gbid
 from fuzzing.byte_mutations import mutate_bytes
+from fuzzing.hdf5_mutations import mutate_hdf5
 from fuzzing.text_mutations import mutate_text, mutate_tree
-from gbid.core.errors import GbidError
+from gbid.core.errors import DataError, GbidError
 from gbid.core.yaml_file import read_yaml
+from gbid.experiment.draft import DraftOptions, draft_experiment
 from gbid.export.data_files import save_data
 from gbid.recording.importing import list_channels
 
@@ -287,6 +290,152 @@ _RESPONSES = "frequency_hz,magnitude,phase_deg,magnitude_std\n" + "".join(
 )
 
 
+def _mat73() -> bytes:
+    """Return a MATLAB file of version 7.3: an HDF5 file behind 512 bytes of text."""
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", userblock_size=512) as file:
+        for name, column in _COLUMNS.items():
+            file[name] = column[None]
+            file[name].attrs["MATLAB_class"] = np.bytes_(b"double")
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
+    return head.ljust(512, b"\0") + memory.getvalue()[512:]
+
+
+# ---- Large files, folders, and the doors of Python.
+
+
+def _oversized_text(random: Random, content: bytes) -> bytes:
+    """Return a text of many columns, rows, signs or headers."""
+    many = random.choice((3_000, 9_000, 200_000))
+    row = ",".join(["1.5"] * many)
+    return random.choice((
+        lambda: f"{','.join(f'c{i}' for i in range(many))}\n{row}\n{row}\n".encode(),
+        lambda: content * (many // 1000),
+        lambda: content + b"9" * 10 * many + b"," + b"1" * many,
+        lambda: content + b'"' * many + b"\n",
+        lambda: b"# note\n" * many + content,
+        lambda: b"name,value\n" * many + content,
+        lambda: content.replace(b"\n", b"," * (many // 1000) + b"\n"),
+        lambda: b"a;b\tc, d\n" * many,
+        lambda: b"t,a,b\n" + b"0.001,nan,\n" * many,
+    ))()  # fmt: skip
+
+
+def _oversized_hdf5(random: Random, _content: bytes) -> bytes:
+    """Return an HDF5 file of many or nested entries, or with sizes that are only stated."""
+    memory, many = io.BytesIO(), random.choice((300, 3000, 6000))
+    with h5py.File(memory, "w") as file:
+        file["t"] = _COLUMNS["t"]
+        kind = random.randrange(5)
+        if kind == 0:
+            for i in range(many):
+                file[f"d{i}"] = float(i)
+        elif kind == 1:
+            file["/".join(["g"] * min(many, 3000)) + "/a"] = _COLUMNS["a"]
+        elif kind == 2:
+            file.create_dataset("a", (1 << random.choice((30, 36, 40)),), "f8", chunks=(1 << 16,), compression="gzip")
+        elif kind == 3:
+            file["a"] = _COLUMNS["a"]
+            for i in range(min(many, 800)):
+                file["a"].attrs[f"n{i}"] = "x" * 50
+        else:
+            file["a"], file["b"] = np.zeros(many * 300), np.zeros((many, 30))
+    return memory.getvalue()
+
+
+def _read_folder(path: Path) -> tuple[Any, tuple[str, ...]]:
+    """Draft an experiment from a folder with the file and two good ones."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, columns = Path(name), np.column_stack([_COLUMNS["t"], *[10 * _COLUMNS["a"], _COLUMNS["b"]] * 3])
+        for point, moving in ((0, 1), (4000, 1)):
+            np.savetxt(
+                folder / f"6bar_{point}rpm.csv", columns * moving, "%.6g", ",", comments="",
+                header="t [s],r_x [um],r_y [um],u_x [um],u_y [um],p_x [um],p_y [um]",
+            )  # fmt: skip
+        (folder / path.name).write_bytes(path.read_bytes())
+        options = DraftOptions(folder, pressure_bar=6.0, speed_rpm=0.0, skip_broken=len(path.read_bytes()) % 2 == 0)
+        try:
+            return draft_experiment(options, folder / "new").text, ()
+        except GbidError as error:
+            raise DataError(f"{path}: {error}") from None
+
+
+def _odd_values(random: Random) -> Any:
+    """Return a value that a caller may hand over by mistake, or to do harm."""
+    circle: dict[str, Any] = {}
+    circle["a"], ring, deep = circle, [1.0], []
+    ring.append(ring)
+    for _ in range(3000):
+        deep = [deep]
+    table = {"columns": ["a"], "unit": "m"}
+    values = (
+        *(None, True, 0, -1, 10**400, np.nan, np.inf, "", "a" * 10**6, "\x1b[31m", b"a", object(), len),
+        *(circle, ring, deep, np.zeros(0), np.zeros((2, 2, 2)), np.array(["a"]), np.arange(5) + 1j, np.float32(1)),
+        *([], {}, (), {"": 1}, [None]),
+        *({1: 2}, table, {"y": table}, [table], {"columns": "a", "scale": ring}, range(10**9), Path(), {"a": circle}),
+    )  # fmt: skip
+    return random.choice(values)
+
+
+def _read_python(path: Path) -> tuple[Any, tuple[str, ...]]:
+    """Call a door of Python with odd values that follow from the file."""
+    import pandas as pd
+
+    random = Random(path.read_bytes())
+    table = path.with_suffix(".csv")
+    mapping: dict[str, Any] = {"time": "t", "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
+    keys = (
+        "time",
+        "signals",
+        "sample_time",
+        "conditions",
+        "samples",
+        "axis",
+        "from_s",
+        "piece",
+        "gaps",
+        "decimal",
+        "name",
+    )
+    frame = pd.DataFrame(_COLUMNS)
+    try:
+        match random.randrange(5 if find_spec("xarray") else 4):
+            case 0:
+                mapping[random.choice((*keys, "x"))] = _odd_values(random)
+            case 1:
+                key = random.choice(
+                    ("columns", "unit", "stored_unit", "scale", "offset", "calibration", "channels", "hold")
+                )
+                mapping["signals"]["y"][key] = _odd_values(random)
+            case 2:
+                given = {
+                    "sample_time": 1e-3,
+                    random.choice(("signals", "time", "units", "conditions", "name")): _odd_values(random),
+                }
+                return gbid.Recording.from_frame(frame, **given), ()
+            case 3:
+                given = {"signals": {"y": _COLUMNS["a"]}, "sample_time": 1e-3}
+                given[random.choice(("signals", "sample_time", "conditions", "units", "channels", "provenance"))] = (
+                    _odd_values(random)
+                )
+                return gbid.Recording(**given), ()
+            case _:
+                dataset = gbid.Recording({"y": _COLUMNS["a"]}, 1e-3, units={"y": "m"}).to_xarray()
+                dataset.attrs[random.choice(("sample_time", "conditions", "provenance", "name", "x"))] = _odd_values(
+                    random
+                )
+                if random.randrange(2):
+                    dataset["y"].attrs["units"] = _odd_values(random)
+                return gbid.Recording.from_xarray(dataset), ()
+        return gbid.import_recording(table, mapping), ()
+    except GbidError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _number(random: Random, _content: bytes) -> bytes:
+    return str(random.random()).encode()
+
+
 def _import(*columns: str, unit: str = "m") -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
     mapping: Mapping[str, Any] = {"signals": {"y": {"columns": list(columns), "unit": unit}}}
     return lambda path: ((list_channels(path), gbid.import_recording(path, mapping)), ())
@@ -309,10 +458,16 @@ def door_targets() -> Iterator[
     responses = lambda path: (gbid.FrequencyData.read(path), ())  # noqa: E731
     yield "responses", ".csv", _RESPONSES.encode(), responses, mutate_text, 6, {}
     yield "wav", ".wav", _wav(), _import("data[0]", "data[1]", unit="1"), mutate_bytes, 4, {}
+    yield "mat 7.3, entries", ".mat", _mat73(), _import("a", "b"), mutate_hdf5, 3, {}
+    yield "oversized text", ".csv", table.encode(), _import("a", "b"), _oversized_text, 2, {}
+    yield "oversized HDF5", ".h5", good.getvalue(), _import("a", "b"), _oversized_hdf5, 2, {}
+    yield "folder", ".csv", table.encode(), _read_folder, mutate_text, 2, {}
+    yield "Python", ".txt", b"0", _read_python, _number, 12, {".csv": table.encode()}
     for name, ending, made, columns in (
         ("tdms", ".tdms", _tdms, ("a", "b")),
         ("mdf", ".mf4", _mf4, ("a", "b")),
         ("universal", ".uff", _uff, ("a", "b")),
+        ("mat 7.3", ".mat", _mat73, ("a", "b")),
     ):
         try:
             content = made()
