@@ -11,7 +11,7 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-all test-quick lint types imports unit test-slow kills fuzz bench pins licences docs release-check clean help
+.PHONY: run paper test test-all test-quick lint types imports unit test-slow kills faults fuzz bench pins licences docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -107,6 +107,9 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
 	$(BIN)/python -m tests.benchmarks.kills --output docs/kills.json
+
+faults: $(VENV)/.installed-tools  ## failing writes and locks, a jumping clock, SIGTERM and runs side by side, in all verbs; Linux
+	$(BIN)/python -m tests.benchmarks.faults
 
 pins: $(VENV)/.installed-tools  ## the list of pinned versions anew, with changed dependencies; UPGRADE=--upgrade for the newest
 	PYTHONPATH=$(CURDIR)/tests/support PATH=$(CURDIR)/$(BIN):$(PATH) $(BIN)/python tests/support/pins.py $(UPGRADE)

@@ -1,12 +1,13 @@
 """Kill gbid at random instants and run the same command again: what is lost, made twice, or left over.
 
-``python -m tests.benchmarks.kills [--kills N] [--minutes M] [--seed S] [--output FILE]``
+``python -m tests.benchmarks.kills [--kills N] [--minutes M] [--seed S] [--only VERB ...] [--output FILE]``
 
-The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report`, `paper` (its figures), `export`
-(C source of a tuned controller) and `serve` (it never ends, so each of its campaigns is one kill). A campaign is one
-verb on a fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of
-a kill is drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals
-are SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
+The verbs are `run`, `batch` (with a pool of two workers, and as `dask` with a Dask cluster), `tune`, `report`, `paper`
+(its figures), `export` (C source of a tuned controller) and `serve` (it never ends, so each of its campaigns is one
+kill). A campaign is one verb on a fresh copy of what it needs: it is killed, checked and started again until it ends by
+itself. The instant of a kill is drawn uniformly from the time that the verb takes undisturbed, so that it may fall into
+anything. Most signals are SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` and `dask` every third
+victim is a worker; the scheduler of Dask is part of the command.
 
 Each command is a fork of this process, which has done the same work before: otherwise most kills would hit imports.
 
@@ -47,20 +48,31 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tests.benchmarks.running import markdown, options_of, store
 
-VERBS = {"run": 0.26, "batch": 0.06, "tune": 0.2, "report": 0.14, "paper": 0.14, "export": 0.14, "serve": 0.06}
+VERBS = {
+    "run": 0.2,
+    "batch": 0.06,
+    "dask": 0.06,
+    "tune": 0.2,
+    "report": 0.14,
+    "paper": 0.14,
+    "export": 0.14,
+    "serve": 0.06,
+}
 """Share of the kills of each verb; `batch` has fewer, because its workers import everything anew."""
 _SERIAL = ("--engine", "serial")
 _ENGINES = {
     **{"run": _SERIAL, "tune": _SERIAL, "batch": ("--engine", "pool", "--workers", "2")},
+    "dask": ("--engine", "dask", "--workers", "2"),
     **{"export": ("--to", "c"), "serve": ("--port", "0"), "paper": ("--only", "figures")},
 }
+_OF_WORKERS = ("batch", "dask")
 _MARK = "GBID_KILL_STUDY"
 _PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
 _LONGEST = 300.0  # time after which a command counts as hanging [s]
@@ -147,10 +159,18 @@ def write_experiment(folder: Path, count: int, more: str) -> Path:
     return path
 
 
-def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = False, largest: int = 0) -> int:
+def begin(
+    arguments: Sequence[str],
+    log: Path,
+    mark: str,
+    backwards: bool = False,
+    largest: int = 0,
+    before: Callable[[], object] = bool,
+) -> int:
     """Return the process id of a command line, as a fork of this process in a session of its own.
 
-    With `backwards` its clock runs backwards; with `largest` it may write no file of more bytes.
+    With `backwards` its clock runs backwards; with `largest` it may write no file of more bytes. The process calls
+    `before` first.
     """
     blocked = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     signal.pthread_sigmask(signal.SIG_BLOCK, blocked)  # Python ignores what is raised within its functions at a fork
@@ -176,6 +196,7 @@ def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = Fals
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
         from gbid.cli.main import app
 
+        before()
         app(list(arguments), prog_name="gbid")
     except SystemExit as end:
         code = int(end.code or 0)
@@ -232,7 +253,7 @@ def left_over(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob(".*")]
 
 
-def make_cases(folder: Path) -> list[Case]:
+def make_cases(folder: Path, verbs: Sequence[str] = tuple(VERBS)) -> list[Case]:
     """Return the cases after an undisturbed run of each; the later verbs start from made results."""
     small, many = folder / "small", folder / "many"
     write_experiment(small, 2, _CONTROLLER)
@@ -242,9 +263,9 @@ def make_cases(folder: Path) -> list[Case]:
         "tune": ("import", "fit", "crossval"),
         **dict.fromkeys(("report", "paper", "export", "serve"), ("run",)),
     }
-    for verb in VERBS:
+    for verb in verbs:
         template = folder / verb
-        shutil.copytree(many if verb == "batch" else small, template)
+        shutil.copytree(many if verb in _OF_WORKERS else small, template)
         for earlier in before.get(verb, ()):
             _here((earlier, str(template / "experiment.yaml"), "--engine", "serial"))
         if verb == "report":
@@ -256,12 +277,12 @@ def make_cases(folder: Path) -> list[Case]:
             continue
         done = folder / f"{verb}_done"
         shutil.copytree(template, done)
-        if verb != "batch":
+        if verb not in _OF_WORKERS:
             warm = folder / f"{verb}_warm"
             shutil.copytree(template, warm)
             _here((verb, str(warm / "experiment.yaml"), *arguments))
         log, began = folder / "log.txt", time.monotonic()
-        status = ended(begin((verb, str(done / "experiment.yaml"), *arguments), log, "undisturbed"), _LONGEST)
+        status = ended(begin((_verb(verb), str(done / "experiment.yaml"), *arguments), log, "undisturbed"), _LONGEST)
         seconds = time.monotonic() - began
         if status != 0:
             raise SystemExit(f"gbid {verb}: status {status}\n{log.read_text()}")
@@ -287,7 +308,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
     """Run one campaign: kill and start again until the command ends by itself, or `most` kills are done."""
     shutil.copytree(case.template, folder)
     results, log = folder / "results/killed", folder / "log.txt"
-    arguments = (case.verb, str(folder / "experiment.yaml"), *case.arguments)
+    arguments = (_verb(case.verb), str(folder / "experiment.yaml"), *case.arguments)
     clock = tally.counts["campaigns"] % 2 == 1
     tally.counts.update(campaigns=1, clocks=clock)
     seen: dict[str, tuple[str, int, int]] = {}
@@ -296,7 +317,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
         full = attempt == 0 and chance.random() < _FULL and case.verb in ("run", "report", "paper")
         largest = chance.randrange(2_000, 60_000) if full else 0
         process = begin(arguments, log, mark, clock and attempt > 0, largest)
-        by_worker = case.verb == "batch" and attempt % 3 == 2
+        by_worker = case.verb in _OF_WORKERS and attempt % 3 == 2
         allowed = (tally.counts["kills"] < most and not full) or case.verb == "serve"
         status = ended(process, chance.uniform(0.0, case.seconds) if allowed else _LONGEST)
         number = chance.choice(_SIGNALS)
@@ -359,6 +380,10 @@ def compiled_half_set(folder: Path, expected: Mapping[str, str]) -> str:
     return ""
 
 
+def _verb(case: str) -> str:
+    return "batch" if case == "dask" else case
+
+
 def _is_worker(process: int) -> bool:
     try:
         return b"spawn_main" in Path(f"/proc/{process}/cmdline").read_bytes()
@@ -380,7 +405,7 @@ def _check_orphans(mark: str, tally: Tally, folder: Path) -> None:
         time.sleep(0.01)
 
 
-def study(kills: int, minutes: float, seed: int, output: Path | None) -> dict[str, Any]:
+def study(kills: int, minutes: float, seed: int, output: Path | None, shares: Mapping[str, float]) -> dict[str, Any]:
     """Return the figures of a study: for each verb the counts, and the faults in words; also written on the way."""
     chance = random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="gbid-kills-") as name:
@@ -388,13 +413,13 @@ def study(kills: int, minutes: float, seed: int, output: Path | None) -> dict[st
         kernels = folder / "kernels"
         kernels.mkdir(mode=0o700)
         os.environ["GBID_CACHE_DIR"] = str(kernels)
-        cases = make_cases(folder)
+        cases = make_cases(folder, tuple(shares))
         tallies = {case.verb: Tally() for case in cases}
         deadline = time.monotonic() + 60 * minutes
-        number, most = 0, {verb: round(share * kills) for verb, share in VERBS.items()}
-        while time.monotonic() < deadline and any(tallies[verb].counts["kills"] < most[verb] for verb in VERBS):
+        number, most = 0, {verb: round(share * kills) for verb, share in shares.items()}
+        while time.monotonic() < deadline and any(tallies[verb].counts["kills"] < most[verb] for verb in shares):
             left = [case for case in cases if tallies[case.verb].counts["kills"] < most[case.verb]]
-            for case in sorted(left, key=lambda case: tallies[case.verb].counts["kills"] / VERBS[case.verb])[:2]:
+            for case in sorted(left, key=lambda case: tallies[case.verb].counts["kills"] / shares[case.verb])[:2]:
                 number += 1
                 campaign(case, folder / f"{case.verb}{number}", chance, tallies[case.verb], most[case.verb])
             figures = _figures(seed, kills, tallies, ())
@@ -432,9 +457,15 @@ def table(run: Mapping[str, Any]) -> str:
 def main() -> None:
     """Run the study and write its figures."""
     given = options_of(
-        __doc__, kills=(1000, "how many"), minutes=(240.0, "at most"), seed=(0, "of instants and signals")
+        __doc__,
+        kills=(1000, "how many"),
+        minutes=(240.0, "at most"),
+        seed=(0, "of instants and signals"),
+        only=(tuple(VERBS), "verbs"),
     )
-    computed = study(given.kills, given.minutes, given.seed, given.output)
+    whole = sum(VERBS[verb] for verb in given.only)
+    shares = {verb: VERBS[verb] / whole for verb in given.only}
+    computed = study(given.kills, given.minutes, given.seed, given.output, shares)
     store(computed, given.output)
     print(json.dumps(computed, indent=1))
     raise SystemExit(any(computed[word] for word in _FAULTS))

@@ -8,6 +8,7 @@ import pytest
 
 import gbid
 from gbid.core.errors import DataError, UsageError
+from gbid.recording.clock import even_pieces
 from gbid.recording.columns import name_and_unit
 from gbid.recording.importing import list_channels, peek
 from gbid.recording.mapping import ImportMapping
@@ -257,3 +258,13 @@ def test_names_of_an_oscilloscope_are_the_last_ones(tmp_path):
     path.write_text(block + "".join(f"{DT * k:.4f},{k % 5},{k % 3}\n" for k in range(60)))
     mapping = {"time": "TIME", "signals": {"q": {"columns": ["CH1", "CH2"], "unit": "V"}}}
     assert gbid.import_recording(path, mapping).signals["q"].shape == (60, 2)
+
+
+def test_a_piece_has_two_samples_at_least():
+    time = np.r_[0:10, 20:22, 30, 40:50].astype(float)
+    pieces = even_pieces(Path("a.csv"), "t", time, {}, 0)
+    assert [(piece.rows.tolist(), piece.number, piece.of) for piece in pieces] == [
+        (list(range(10)), 1, 3),
+        ([10, 11], 2, 3),
+        (list(range(13, 23)), 3, 3),
+    ]

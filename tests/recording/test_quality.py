@@ -310,3 +310,11 @@ def test_one_content_under_two_names():
     assert list(problems) == ["copy"]
     assert problems["copy"][0].kind == "duplicate"
     assert "holds the same samples as 'one'" in problems["copy"][0].text
+
+
+@pytest.mark.parametrize(("length", "is_saturated"), [(quality.MIN_RUN - 1, False), (quality.MIN_RUN, True)])
+def test_a_saturated_channel_stays_at_its_limit_for_five_samples(length, is_saturated):
+    column = np.random.default_rng(1).uniform(-1.0, 0.5, 2000)
+    for k in range(20, 2000, 50):
+        column[k : k + length] = 1.0
+    assert quality.stays_at_limits(column) == ({1.0: 40 * length} if is_saturated else {})
