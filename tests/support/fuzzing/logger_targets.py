@@ -343,19 +343,28 @@ def _oversized_hdf5(random: Random, _content: bytes) -> bytes:
     return memory.getvalue()
 
 
+def _moving(seed: int) -> bytes:
+    """Return a csv file of r, u and p that move, and where u follows r."""
+    random = np.random.default_rng(seed)
+    r = 4 * np.repeat(random.choice([-1.0, 1.0], (60, 2)), 10, axis=0)
+    noise = random.normal(size=(600, 4))
+    columns = np.column_stack([1e-3 * np.arange(600), r, 0.9 * r + 0.01 * noise[:, :2], 0.5 * r + 0.1 * noise[:, 2:]])
+    heads = ",".join(f"{signal}_{axis} [um]" for signal in "rup" for axis in "xy")
+    text = io.StringIO()
+    np.savetxt(text, columns, "%.6g", ",", comments="", header=f"t [s],{heads}")
+    return text.getvalue().encode()
+
+
 def _read_folder(path: Path) -> tuple[Any, tuple[str, ...]]:
     """Draft an experiment from a folder with the file and two good ones."""
     with tempfile.TemporaryDirectory() as name:
-        folder, columns = Path(name), np.column_stack([_COLUMNS["t"], *[10 * _COLUMNS["a"], _COLUMNS["b"]] * 3])
-        for point, moving in ((0, 1), (4000, 1)):
-            np.savetxt(
-                folder / f"6bar_{point}rpm.csv", columns * moving, "%.6g", ",", comments="",
-                header="t [s],r_x [um],r_y [um],u_x [um],u_y [um],p_x [um],p_y [um]",
-            )  # fmt: skip
+        folder = Path(name)
+        for seed in (1, 2):
+            (folder / f"good{seed}.csv").write_bytes(_moving(seed))
         (folder / path.name).write_bytes(path.read_bytes())
         options = DraftOptions(folder, pressure_bar=6.0, speed_rpm=0.0, skip_broken=len(path.read_bytes()) % 2 == 0)
         try:
-            return draft_experiment(options, folder / "new").text, ()
+            return len(draft_experiment(options, folder / "new").text), ()
         except GbidError as error:
             raise DataError(f"{path}: {error}") from None
 
@@ -381,8 +390,7 @@ def _read_python(path: Path) -> tuple[Any, tuple[str, ...]]:
     """Call a door of Python with odd values that follow from the file."""
     import pandas as pd
 
-    random = Random(path.read_bytes())
-    table = path.with_suffix(".csv")
+    random, table = Random(path.read_bytes()), path.with_suffix(".csv")
     mapping: dict[str, Any] = {"time": "t", "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
     keys = (
         "time",
@@ -398,6 +406,8 @@ def _read_python(path: Path) -> tuple[Any, tuple[str, ...]]:
         "name",
     )
     frame = pd.DataFrame(_COLUMNS)
+    if path.read_bytes() == b"good":
+        return gbid.import_recording(table, mapping), ()
     try:
         match random.randrange(5 if find_spec("xarray") else 4):
             case 0:
@@ -436,8 +446,8 @@ def _number(random: Random, _content: bytes) -> bytes:
     return str(random.random()).encode()
 
 
-def _import(*columns: str, unit: str = "m") -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
-    mapping: Mapping[str, Any] = {"signals": {"y": {"columns": list(columns), "unit": unit}}}
+def _import(*columns: str, unit: str = "m", time: str | None = None) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+    mapping: Mapping[str, Any] = {"time": time, "signals": {"y": {"columns": list(columns), "unit": unit}}}
     return lambda path: ((list_channels(path), gbid.import_recording(path, mapping)), ())
 
 
@@ -458,11 +468,11 @@ def door_targets() -> Iterator[
     responses = lambda path: (gbid.FrequencyData.read(path), ())  # noqa: E731
     yield "responses", ".csv", _RESPONSES.encode(), responses, mutate_text, 6, {}
     yield "wav", ".wav", _wav(), _import("data[0]", "data[1]", unit="1"), mutate_bytes, 4, {}
-    yield "mat 7.3, entries", ".mat", _mat73(), _import("a", "b"), mutate_hdf5, 3, {}
-    yield "oversized text", ".csv", table.encode(), _import("a", "b"), _oversized_text, 2, {}
-    yield "oversized HDF5", ".h5", good.getvalue(), _import("a", "b"), _oversized_hdf5, 2, {}
-    yield "folder", ".csv", table.encode(), _read_folder, mutate_text, 2, {}
-    yield "Python", ".txt", b"0", _read_python, _number, 12, {".csv": table.encode()}
+    yield "mat 7.3, entries", ".mat", _mat73(), _import("a", "b", time="t"), mutate_hdf5, 3, {}
+    yield "oversized text", ".csv", table.encode(), _import("a", "b", time="t"), _oversized_text, 2, {}
+    yield "oversized HDF5", ".h5", good.getvalue(), _import("a", "b", time="t"), _oversized_hdf5, 2, {}
+    yield "folder", ".csv", _moving(0), _read_folder, mutate_text, 2, {}
+    yield "Python", ".txt", b"good", _read_python, _number, 12, {".csv": table.encode()}
     for name, ending, made, columns in (
         ("tdms", ".tdms", _tdms, ("a", "b")),
         ("mdf", ".mf4", _mf4, ("a", "b")),
@@ -473,4 +483,5 @@ def door_targets() -> Iterator[
             content = made()
         except ImportError:
             continue
-        yield name, ending, content, _import(*columns), mutate_text if name == "universal" else mutate_bytes, 6, {}
+        read = _import(*columns, time="t" if ending == ".mat" else None)
+        yield name, ending, content, read, mutate_text if name == "universal" else mutate_bytes, 6, {}
