@@ -114,7 +114,7 @@ faults: $(VENV)/.installed-tools  ## failing writes and locks, a jumping clock, 
 pins: $(VENV)/.installed-tools  ## the list of pinned versions anew, with changed dependencies; UPGRADE=--upgrade for the newest
 	PYTHONPATH=$(CURDIR)/tests/support PATH=$(CURDIR)/$(BIN):$(PATH) $(BIN)/python tests/support/pins.py $(UPGRADE)
 
-licences: $(VENV)/.installed-tools  ## the table of licences in docs/install.md, from the metadata of the packages
+licences: $(VENV)/.installed-tools  ## docs/licences.csv, the table of licences, from the metadata of the packages
 	PYTHONPATH=$(CURDIR)/tests/support $(BIN)/python tests/support/licences.py
 
 docs: $(VENV)/.installed-tools  ## the pages, code blocks executed, warnings as errors

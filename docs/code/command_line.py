@@ -3,6 +3,7 @@
 import io
 import re
 from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 
 import rich.console
 
@@ -31,3 +32,16 @@ def run(command: str, keep: str = "", most: int = 1000) -> None:
     print(f"$ {command}", *shown, *(["..."] if len(shown) < len(lines) else []), sep="\n")
     if code:
         print(f"[exit code {code}]")
+
+
+def shorten_quickstart(folder: str) -> Path:
+    """Shorten the recordings of a new experiment and leave out joint fit and figures; return its file."""
+    path = Path(folder, "experiment.yaml")
+    text = path.read_text(encoding="utf-8")
+    shorter = text.replace("duration_s: 5.0", "duration_s: 1.5")
+    assert shorter != text
+    shorter = (
+        shorter[: shorter.index("  joint:")] + shorter[shorter.index("  bearing:") : shorter.index("  joint: {on")]
+    )
+    path.write_text(shorter, encoding="utf-8")
+    return path

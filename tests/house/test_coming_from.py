@@ -14,9 +14,9 @@ ROWS = [match.groups() for match in ROW.finditer(PAGE.read_text(encoding="utf-8"
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory):
-    """Names of the hidden cells and of the process model, which the tables use, and the folder of their files."""
+    """Names of the hidden cell and of the process model, which the tables use, and the folder of their files."""
     known = {"__name__": "__main__"}
-    hidden = [cell for cell in cells(PAGE) if "savemat" in cell or "SensorChain" in cell]
+    hidden = [cell for cell in cells(PAGE) if "docs.code.coming_from" in cell]
     process = [cell[: cell.index("found =")] for cell in cells(PAGE) if "process =" in cell]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("newcomer"))

@@ -1,5 +1,6 @@
 """Licences of the packages that gbid needs or may use: `make licences` writes the table and the list of components."""
 
+import csv
 import json
 import re
 import sys
@@ -8,9 +9,9 @@ from importlib.metadata import PackageNotFoundError, distribution
 
 from places import DOCS, ROOT
 
-PAGE, COMPONENTS = DOCS / "install.md", DOCS / "sbom.cdx.json"
+TABLE, COMPONENTS = DOCS / "licences.csv", DOCS / "sbom.cdx.json"
 _DEVELOPERS = ("test", "docs")
-_HEADING = "| package | installed by | licence |\n|---|---|---|\n"
+_HEADING = ("package", "installed by", "licence")
 
 
 def extras() -> dict[str, str]:
@@ -36,12 +37,17 @@ def licence(package: str) -> str | None:
     return next(word for word in [*words, "none stated"] if word)
 
 
-def rows() -> list[str]:
+def listed() -> dict[str, str]:
+    """The licences of the packages in the table of the page."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return {row["package"]: row["licence"] for row in csv.DictReader(file)}
+
+
+def rows() -> list[tuple[str, str, str]]:
     """The rows of the table; what is not installed keeps its row."""
-    kept = dict(re.findall(r"^\| `([^`]+)` \|[^|]*\| ([^|]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    kept = listed()
     results = {package: licence(package) or kept.get(package, "not known") for package in extras()}
-    by = {package: f"`{extra}`" if extra else "always" for package, extra in extras().items()}
-    return [f"| `{package}` | {by[package]} | {words} |" for package, words in results.items()]
+    return [(package, extras()[package] or "always", words) for package, words in results.items()]
 
 
 def pinned() -> dict[str, str]:
@@ -73,11 +79,11 @@ def components() -> dict[str, object]:
 
 
 def write() -> None:
-    """Write the table into the page, and the list of components beside it."""
+    """Write the table of the page, and the list of components beside it."""
     COMPONENTS.write_text(json.dumps(components(), indent=1) + "\n", encoding="utf-8")
-    before, _, after = PAGE.read_text(encoding="utf-8").partition(_HEADING)
-    following = after.partition("\n\n")[2]
-    PAGE.write_text(before + _HEADING + "\n".join(rows()) + "\n\n" + following, encoding="utf-8")
+    table = rows()
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([_HEADING, *table])
 
 
 if __name__ == "__main__":
