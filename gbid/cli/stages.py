@@ -107,7 +107,7 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
 
 
 _COLUMNS = (Column("stage"), Column("to make", format="d"), Column("there", format="d"), Column("failed", format="d"))
-_LATER = "what is to be made is known when the stages before have run"
+_LATER = "the items of this stage are known after the stages before it have run"
 
 
 def print_plan(experiment: Experiment, stages: Sequence[Stage], options: CommonOptions) -> None:
@@ -205,8 +205,8 @@ def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = 
         When it is so.
     """
     if not any(has_section(experiment, section) for section in sections):
-        words = " or ".join(repr(section) for section in sections)
-        raise UsageError(f"{experiment.file.path}: no section {words}; add one{hint}")
+        names = " or ".join(repr(section) for section in sections)
+        raise UsageError(f"{experiment.file.path}: no section {names}; add one{hint}")
 
 
 def stages_of(word: str) -> list[Stage]:

@@ -42,7 +42,7 @@ def fit(
     if (only is not None) + (one is not None) + items > 1:
         raise UsageError("--only, --one and --list exclude each other; give one of them")
     if one is not None and len(one) > 1:
-        raise UsageError(f"--one is one fit, here are {len(one)}; give each a command of its own")
+        raise UsageError(f"--one is one fit, here are {len(one)}; use one command for each fit")
     if one is not None:
         run_one(experiment, options, one[0])
     elif items:

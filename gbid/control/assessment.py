@@ -746,8 +746,8 @@ def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
         points = first.result.points
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         title = f"{first.plant}, worst over {where}" if len(points) else first.plant
-        words = conditions_words(first.impact, first.sample_time, first.method)
-        tables += [comparison_table(title, shown, words)] if shown else []
+        conditions = conditions_words(first.impact, first.sample_time, first.method)
+        tables += [comparison_table(title, shown, conditions)] if shown else []
     return tables
 
 

@@ -384,7 +384,7 @@ def _reason(code: int, limits: ReaderLimits, allowed: int, in_time: bool) -> str
             )
         return (
             f"time-out: its reader computed for more than {limits.seconds:.0f} s; a file of this size needs far less: "
-            "it may be damaged, or have far too many entries; save what is needed again"
+            "it may be damaged, or have far too many entries; save the needed signals to a new file"
         )
     if -code == getattr(signal, "SIGKILL", None):
         return "its reader was killed from outside (SIGKILL), as by a machine without memory left; make room, try again"

@@ -188,10 +188,10 @@ def estimates(values: Mapping[str, float], std: Mapping[str, float], names: Iter
     return _listed([f"{name} = {values[name]:.5g} +- {std[name]:.2g}" for name in names], many=4 * FEW)
 
 
-def counted(words: Iterable[str]) -> str:
+def counted(names: Iterable[str]) -> str:
     """Return how often each word occurs, as text, in the order of first occurrence."""
     counts: dict[str, int] = {}
-    for word in words:
+    for word in names:
         counts[word] = counts.get(word, 0) + 1
     return _listed([f"{count} {word}" for word, count in counts.items()])
 

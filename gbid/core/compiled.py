@@ -67,11 +67,11 @@ def why_not_trusted(path: Path) -> str:
     """
     if not hasattr(os, "getuid"):  # no owners of this kind
         return ""
-    mine = (os.getuid(), 0)
+    trusted_owners = (os.getuid(), 0)
     real = path.resolve()
     for place in (real, *real.parents):
         status = place.stat()
-        if status.st_uid not in mine:
+        if status.st_uid not in trusted_owners:
             return f"{place} belongs to another user"
         shared_safely = place != real and status.st_mode & stat.S_ISVTX  # as /tmp: entries are their owners'
         if status.st_mode & _OTHERS_MAY_WRITE and not shared_safely:
@@ -151,8 +151,8 @@ def _compile(compiler: Compiler, arguments: Sequence[str], library: Path, what: 
     with scratch_folder(library) as scratch:
         ended = _run([*compiler.command, *arguments], given, scratch)
     if ended.returncode != 0:
-        said = (ended.stderr.strip() or ended.stdout.strip() or str(ended.returncode)).splitlines()
-        first = next((line for line in said if "error" in line), said[0])
+        messages = (ended.stderr.strip() or ended.stdout.strip() or str(ended.returncode)).splitlines()
+        first = next((line for line in messages if "error" in line), messages[0])
         raise CompilerMissingError(f"{compiler.command[0]} failed on {what}: {first}")
 
 

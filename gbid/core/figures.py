@@ -13,7 +13,7 @@ class Figure(NamedTuple):
     ----------
     function : str
         Public function of `gbid.report` that draws it.
-    words : str
+    caption : str
         Description for readers who cannot see the figure.
     values : tuple
         Positional arguments of the function.
@@ -22,7 +22,7 @@ class Figure(NamedTuple):
     """
 
     function: str
-    words: str
+    caption: str
     values: tuple[Any, ...]
     options: Mapping[str, Any] = {}
 

@@ -319,7 +319,7 @@ def checked_end(path: Path) -> bytes | None:
             size -= len(block)
     if last[len(_LABEL) : -1] != digest.hexdigest().encode():
         raise DataError(
-            f"{path}: damaged, or changed by another program: its checksum is not that of its bytes; "
+            f"{path}: damaged, or changed by another program: its checksum does not match its bytes; "
             "take a copy of it from a backup, or make it again"
         )
     return end
@@ -413,8 +413,8 @@ def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
             f"{path}: its reader needs more memory than the file can contain or this process may use; {remedy}"
         ) from None
     except Exception as error:
-        words = in_one_line(error)
-        raise DataError(f"{path}: cannot be read, damaged or of another format ({words}); {remedy}") from None
+        text = in_one_line(error)
+        raise DataError(f"{path}: cannot be read, damaged or of another format ({text}); {remedy}") from None
 
 
 def refuse_special(path: Path) -> None:

@@ -79,7 +79,7 @@ class FitNote(NoteKind):
     AT_REST = "GB122"
     LEFT_OUT = "GB123"
     HOLD = "GB124"
-    POLES_MEET = "GB129"
+    EQUAL_POLES = "GB129"
     MEANS = "GB130"
     PIECES = "GB131"
     SHAFT = "GB132"

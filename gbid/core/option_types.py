@@ -139,24 +139,24 @@ def check_options(options: Any, owner: str = "") -> None:
         For the first value that its type does not allow; names the option and what is allowed.
     """
     kind: Any = type(options)
-    made, defaults = _defaults_of(kind)
+    declared, defaults = _defaults_of(kind)
     given = {name: value for name, default in defaults if (value := getattr(options, name)) is not default}
     if given:
-        check_fields(made, given, owner)
+        check_fields(declared, given, owner)
 
 
 @cache
 def _defaults_of(kind: type) -> tuple[type, list[tuple[str, Any]]]:
     """Return the dataclass among a class and its bases, with the default of each field."""
-    made = next(each for each in kind.__mro__ if "__dataclass_fields__" in vars(each))
-    return made, [(field.name, getattr(made, field.name, MISSING)) for field in fields(made) if field.init]
+    declared = next(each for each in kind.__mro__ if "__dataclass_fields__" in vars(each))
+    return declared, [(field.name, getattr(declared, field.name, MISSING)) for field in fields(declared) if field.init]
 
 
 @cache
-def types_of(made: Any) -> dict[str, Any]:
+def types_of(kind: Any) -> dict[str, Any]:
     """Return the types of the fields of a dataclass."""
-    hints = get_type_hints(made, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(made)}
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(kind)}
 
 
 def _refuse_depth(depth: int) -> None:
@@ -208,17 +208,17 @@ class CheckedType:
         return True
 
 
-def check_fields(made: type, values: Mapping[str, Any], owner: str) -> None:
+def check_fields(kind: type, values: Mapping[str, Any], owner: str) -> None:
     """Check values for fields of a dataclass; see `check_options`."""
-    kinds = _kinds_of(made)
+    kinds = _kinds_of(kind)
     for name, value in values.items():
         if not kinds[name].allows(value):
             raise _not_allowed(owner, name, value, kinds[name].hint)
 
 
 @cache
-def _kinds_of(made: type) -> dict[str, CheckedType]:
-    return {name: CheckedType(hint) for name, hint in types_of(made).items()}
+def _kinds_of(kind: type) -> dict[str, CheckedType]:
+    return {name: CheckedType(hint) for name, hint in types_of(kind).items()}
 
 
 def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any]) -> None:
@@ -280,9 +280,11 @@ def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -
     while (entry := _first_wrong_entry(kind, value)) is not None:
         key, value, kind = entry
         place = f"{place}[{key!r}]"
-    words = list(dict.fromkeys(_words(kind)))
-    verb = "choose" if all(word.startswith("'") for word in words) else "give"
-    return UsageError(f"{owner}{': ' if owner else ''}{place} = {_short(value)}; {verb} {_either(words)}{also}", name)
+    alternatives = list(dict.fromkeys(_words(kind)))
+    verb = "choose" if all(word.startswith("'") for word in alternatives) else "give"
+    return UsageError(
+        f"{owner}{': ' if owner else ''}{place} = {_short(value)}; {verb} {_either(alternatives)}{also}", name
+    )
 
 
 def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
@@ -338,7 +340,7 @@ def _pydantic_type(kind: Any) -> Any:
     from pydantic import AllowInfNan, BeforeValidator, InstanceOf
 
     origin, args = type_parts(kind)
-    made: Any  # types made here are no types for mypy
+    annotated: Any  # types made here are no types for mypy
     if isinstance(kind, InitVar | TypeVar):
         return _pydantic_type(kind.type if isinstance(kind, InitVar) else kind.__bound__ or Any)
     if origin is Annotated:
@@ -349,14 +351,16 @@ def _pydantic_type(kind: Any) -> Any:
             bounds.append(AllowInfNan(False))
         if args[0] in (float, int):
             return Annotated[(args[0], *bounds, BeforeValidator(_number))]
-        made = _pydantic_type(args[0])
-        made = Annotated[(made, *bounds)] if bounds else made
-        return made | str if any(isinstance(mark, OneText) for mark in args) else made
+        annotated = _pydantic_type(args[0])
+        annotated = Annotated[(annotated, *bounds)] if bounds else annotated
+        return annotated | str if any(isinstance(mark, OneText) for mark in args) else annotated
     if origin in (Union, UnionType):
-        made = reduce(or_, map(_pydantic_type, _alternatives(kind)))
+        annotated = reduce(or_, map(_pydantic_type, _alternatives(kind)))
         if ArrayOfNumbers in _alternatives(kind):  # rows of alternatives, such as lists of axes
-            made |= _only(lambda value: isinstance(value, list | tuple) and all(_allows(kind, each) for each in value))
-        return made
+            annotated |= _only(
+                lambda value: isinstance(value, list | tuple) and all(_allows(kind, each) for each in value)
+            )
+        return annotated
     if origin is Literal:
         return _only(lambda value: any(type(value) is type(each) and value == each for each in args))
     if kind is ArrayOfNumbers or origin is np.ndarray:
@@ -364,21 +368,23 @@ def _pydantic_type(kind: Any) -> Any:
     if origin is Callable or kind is Callable:
         return _only(callable)
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        made = dict
-        made = made[_pydantic_type(args[0]), _pydantic_type(args[1])]
-        return Annotated[made, BeforeValidator(lambda value: dict(value) if isinstance(value, Mapping) else value)]
+        annotated = dict
+        annotated = annotated[_pydantic_type(args[0]), _pydantic_type(args[1])]
+        return Annotated[annotated, BeforeValidator(lambda value: dict(value) if isinstance(value, Mapping) else value)]
     if isinstance(origin, type) and issubclass(origin, Iterable):
         each = [entry if entry is ... else _pydantic_type(entry) for entry in args]
-        made = tuple
-        made = made[(*each,)] if origin is tuple else made[each[0], ...]
-        made = Annotated[made, BeforeValidator(partial(_entries, issubclass(origin, Sequence)))]
-        return made if issubclass(origin, Collection) else made | InstanceOf[Iterator[Any]]  # not to be used up
+        annotated = tuple
+        annotated = annotated[(*each,)] if origin is tuple else annotated[each[0], ...]
+        annotated = Annotated[annotated, BeforeValidator(partial(_entries, issubclass(origin, Sequence)))]
+        return (
+            annotated if issubclass(origin, Collection) else annotated | InstanceOf[Iterator[Any]]
+        )  # not to be used up
     if kind in (float, int, complex):
         return Annotated[kind, BeforeValidator(_number)]
     if kind in (bool, str, None, NoneType, Any, object) or isinstance(kind, ParamSpec | str):
         return Any if isinstance(kind, ParamSpec | str) else kind
-    made = os.PathLike if kind is Path else origin or kind
-    return _only(lambda value: isinstance(value, made) and (made is type or not isinstance(value, type)))
+    annotated = os.PathLike if kind is Path else origin or kind
+    return _only(lambda value: isinstance(value, annotated) and (annotated is type or not isinstance(value, type)))
 
 
 def _only(test: Callable[[Any], bool]) -> Any:
@@ -479,8 +485,8 @@ def _bound(mark: Gt | Ge | Le | Lt) -> str:
     return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
 
 
-def _either(words: list[str]) -> str:
-    *others, last = words
+def _either(alternatives: list[str]) -> str:
+    *others, last = alternatives
     return f"{', '.join(others)} or {last}" if others else last
 
 

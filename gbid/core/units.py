@@ -195,14 +195,14 @@ def _parsed(text: str) -> _Unit:
     elif slash and len(_products(below)) > 1:
         raise ValueError(f"may be divided by {below!r} or by its first unit alone: write brackets")
     if slash and not below:
-        raise ValueError("nothing stands below '/'")
+        raise ValueError("no unit after '/'")
     powers = [(name, power) for name, power in _products(above)]
     powers += [(name, -power) for name, power in _products(below)] if slash else []
     units = [(_factor_of(name), power) for name, power in powers]
     if len(units) == 1 and units[0][1] == 1:
         return units[0][0]
     if any(unit.origin for unit, _ in units):
-        raise ValueError("a scale with an offset stands alone")
+        raise ValueError("a unit with an offset cannot be combined with other units")
     factor = math.prod(unit.factor**power for unit, power in units)
     exponents = zip(*([power * n for n in unit.dimensions] for unit, power in units), strict=True)
     return _Unit(factor, tuple(map(sum, exponents)))

@@ -20,7 +20,7 @@ from gbid.core.errors import UsageError
 from gbid.core.files import in_one_line, is_changed, with_text_checksum
 from gbid.core.notes import DataNote
 
-CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
+CHANGED = "changed after gbid wrote it: its checksum does not match its lines"
 
 _LARGEST = 4 << 20  # bytes
 _DEEPEST = 50
@@ -82,7 +82,7 @@ def read_yaml(path: Path) -> YamlFile:
             raise UsageError(f"{path}: is not a file; give the name of one")
         content = path.read_bytes()
         if len(content) > _LARGEST:
-            raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into files of their own")
+            raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into separate files")
         if _open_brackets(content) > _BRACKETS:
             raise UsageError(f"{path}: more than {_BRACKETS} brackets are opened and not closed; close them")
         if (count := sum(map(content.count, (b"\n", b",", b": ")))) > _VALUES:

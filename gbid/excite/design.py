@@ -83,9 +83,12 @@ def design_excitation(
         goal = replace(goal, earlier=lines.noise_information(n_samples) + (0.0 if earlier is None else earlier))
         parts: dict[str, Any]
         if kind == "multisine":
-            made = design_multisine(goal, lines, limits, n_samples)
-            signal, period_s = made.signal(n_samples), made.period * sample_time
-            parts = {"gap": made.gap, "lines": ExcitationLines(made.bins / period_s, made.spectrum, period_s)}
+            multisine = design_multisine(goal, lines, limits, n_samples)
+            signal, period_s = multisine.signal(n_samples), multisine.period * sample_time
+            parts = {
+                "gap": multisine.gap,
+                "lines": ExcitationLines(multisine.bins / period_s, multisine.spectrum, period_s),
+            }
         else:
             sequence, signal = choose_prbs(goal, lines, limits, n_samples)
             parts = {"sequence": sequence}
@@ -200,12 +203,12 @@ def recording_length(
         raise UsageError("no targets; give absolute or relative standard deviations by name")
     duration = _FIRST_S
     for _ in range(_ROUNDS):
-        made = design_excitation(
+        excitation = design_excitation(
             known, duration=duration, sample_time=sample_time, limits=limits, kind=kind, focus=targets
         )
-        over = {name: made.std[name] / wanted for name, wanted in targets.items()}
+        over = {name: excitation.std[name] / wanted for name, wanted in targets.items()}
         decisive = max(over, key=lambda name: over[name])
-        needed = made.duration_s * over[decisive] ** 2
+        needed = excitation.duration_s * over[decisive] ** 2
         if not needed <= longest_s:
             raise UsageError(
                 f"{decisive} to {targets[decisive]:.3g} needs {needed:.3g} s, longer than longest_s = {longest_s:g} s; "
@@ -217,5 +220,5 @@ def recording_length(
         duration = max(_SHORTEST_S, np.ceil(1.02 * needed / _SHORTEST_S) * _SHORTEST_S)
     else:
         raise UsageError(f"no length up to {duration:g} s was found that reaches the targets")
-    by_amplitude = {share: made.duration_s / share**2 for share in _SHARES}
-    return RecordingLength(made.duration_s, made, targets, decisive, by_amplitude)
+    by_amplitude = {share: excitation.duration_s / share**2 for share in _SHARES}
+    return RecordingLength(excitation.duration_s, excitation, targets, decisive, by_amplitude)

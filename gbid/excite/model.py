@@ -149,8 +149,8 @@ class KnownModel(Brief):
                 "outputs, or their covariance"
             )
         held = tuple(dict.fromkeys((*as_names(self.fixed), *(q.name for q in self.structure.parameters if q.fixed))))
-        if strangers := [name for name in held if name not in names]:
-            raise UsageError(f"fixed names {strangers[0]!r}; the structure has {', '.join(names)}")
+        if unknown := [name for name in held if name not in names]:
+            raise UsageError(f"fixed names {unknown[0]!r}; the structure has {', '.join(names)}")
         hold: Hold | Sequence[Hold] = self.intersample or self.structure.intersample
         values = {
             "parameters": known,

@@ -428,19 +428,21 @@ def design_multisine(goal: DesignGoal, lines: LineModel, limits: ExcitationLimit
         chosen = lines.at(bins / (period * dt))
         limited = _limited(limits, lines, chosen.frequency_hz, chosen.response, hard)
         spectrum = with_small_peaks(goal, chosen.sensitivity, limited, bins, spectrum, n_samples)
-        made = Multisine(bins, period, spectrum, best.gap)
-        made = made._replace(spectrum=spectrum / max(use_of(limits, lines, made.signal(period)).values()))
-        crest = {each.name: _crest(each, made) for each in limited}
+        multisine = Multisine(bins, period, spectrum, best.gap)
+        multisine = multisine._replace(
+            spectrum=spectrum / max(use_of(limits, lines, multisine.signal(period)).values())
+        )
+        crest = {each.name: _crest(each, multisine) for each in limited}
         if limits.machines and round_ < _ROUNDS - 1:
-            use = np.array(list(disc_in_machines(limits, lines, bins, made.spectrum, period)))
+            use = np.array(list(disc_in_machines(limits, lines, bins, multisine.spectrum, period)))
             hard = sorted(np.argsort(-use)[:_HARDEST].tolist())
-    shrunk = min(1.0, 1 / max(use_of(limits, lines, made.signal(period), with_machines=True).values()))
-    return made._replace(spectrum=made.spectrum * shrunk)
+    shrunk = min(1.0, 1 / max(use_of(limits, lines, multisine.signal(period), with_machines=True).values()))
+    return multisine._replace(spectrum=multisine.spectrum * shrunk)
 
 
-def _crest(signal: LimitedSignal, made: Multisine) -> float:
+def _crest(signal: LimitedSignal, multisine: Multisine) -> float:
     """Return the crest factor of a limited signal: largest value over root mean square."""
-    values = _one_period(made.bins, np.einsum("fcu,fu->fc", signal.response, made.spectrum), made.period)
+    values = _one_period(multisine.bins, np.einsum("fcu,fu->fc", signal.response, multisine.spectrum), multisine.period)
     way = np.linalg.norm(values, axis=1)
     return float(way.max() / np.sqrt(np.mean(way**2)))
 
@@ -474,9 +476,9 @@ def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray)
     informs = values * np.einsum("fui,fuv,fvi->fi", vectors.conj(), sensitivity, vectors).real
     least = _LEAST * informs.sum()
     at, amplitude = list[int](), list[ComplexArray]()
-    for line, size, direction, told in zip(bins.tolist(), values, vectors, informs, strict=True):
+    for line, size, direction, information in zip(bins.tolist(), values, vectors, informs, strict=True):
         for above, i in enumerate(range(len(size) - 1, max(len(size) - 3, -1), -1)):
-            if told[i] > least:
+            if information[i] > least:
                 at.append(line + above)
                 amplitude.append(np.sqrt(2 * size[i]) * direction[:, i])
     return np.array(at, dtype=np.int64), np.array(amplitude)

@@ -102,8 +102,8 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
     dealt = apart[shard.number - 1 :: shard.count]
     points = {planned.point for planned in dealt if planned.excited}
     stationary = [q.name for q in recordings if q.stationary and q.point in points]
-    mine = with_needed(experiment, [*(planned.name for planned in dealt), *stationary])
-    return [task for task in tasks if mine.issuperset(task.recordings)]
+    needed = with_needed(experiment, [*(planned.name for planned in dealt), *stationary])
+    return [task for task in tasks if needed.issuperset(task.recordings)]
 
 
 def tasks_for(job: Job, item: str) -> list[tuple[Stage, list[Task]]]:

@@ -280,9 +280,9 @@ def published_design(experiment: Experiment, section: ControllerSection | None =
     return None if machine is None else machine.controller
 
 
-def published_structure(came: ProportionalDesign) -> Structure:
+def published_structure(design: ProportionalDesign) -> Structure:
     """Return the structure of a published controller."""
-    return control.controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+    return control.controller_structure("P", lowpass_hz=design.lowpass_hz, order=design.lowpass_order)
 
 
 def design_result(
@@ -394,13 +394,13 @@ def running_controller(
         raise UsageError(f"controller {controller.name!r}: no value for {unknown}; the rig needs all gains")
     needed_time = needed(experiment.spec.rig, "rig").sample_time_s
     continuous = controller.at(*at_point(controller, conditions))
-    words = f"controller {controller.name!r}"
+    label = f"controller {controller.name!r}"
     if continuous.D.shape != (2, 2):
-        raise UsageError(f"{words} has not two inputs and two outputs, the axes x and y of the rig")
+        raise UsageError(f"{label} has not two inputs and two outputs, the axes x and y of the rig")
     sample_time = controller.rate
     if abs(sample_time - needed_time) > 1e-9 * needed_time:
         text = f"sample time is {sample_time:g} s, that of the rig {needed_time:g} s; make it for that"
-        raise UsageError(f"{words}: {text}")
+        raise UsageError(f"{label}: {text}")
     is_continuous = continuous.dt is None
     sampled = control.sample_controller(continuous, sample_time, controller.method) if is_continuous else continuous
     return LoopController(continuous, sampled, controller)
@@ -666,10 +666,10 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
 
 def _of_python(experiment: Experiment, named: ControllerName) -> control.ControllerDesign | Structure:
     word = str(named)
-    made = user_structure_or_model(word, experiment.folder_of(named.file))
-    if isinstance(made, LinearModel):
-        return control.ControllerDesign(word, None, {}, made.dt or sample_time(experiment), models={None: made})
-    linear = kind_of(made).linear
+    loaded = user_structure_or_model(word, experiment.folder_of(named.file))
+    if isinstance(loaded, LinearModel):
+        return control.ControllerDesign(word, None, {}, loaded.dt or sample_time(experiment), models={None: loaded})
+    linear = kind_of(loaded).linear
     if linear is None:
         raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
     return linear

@@ -428,8 +428,10 @@ def _stated_units(
         if known and signal not in options.units:
             continue
         if unit is None:
-            said = [f"{column!r} states {stated[column]!r}, which is no unit" for column in named if column in stated]
-            reasons.setdefault("unit", f"{path}: {said[0] if said else f'the file states no unit of {signal}'}")
+            problems = [
+                f"{column!r} states {stated[column]!r}, which is no unit" for column in named if column in stated
+            ]
+            reasons.setdefault("unit", f"{path}: {problems[0] if problems else f'the file states no unit of {signal}'}")
         elif chosen:
             if unit:
                 conversion_factor(unit, "rad" if is_angle else "m")

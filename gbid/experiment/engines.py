@@ -188,7 +188,7 @@ class ProcessPool:
         shipped = pickle.dumps(bare_job(job))
         for worker in self._workers:
             worker.send(shipped)
-        waiting, deaths, stillborn = deque(range(len(tasks))), Counter[int](), 0
+        waiting, deaths, failed_starts = deque(range(len(tasks))), Counter[int](), 0
 
         def give(worker: _Worker) -> None:
             if waiting and worker.ready and worker.number is None:
@@ -201,16 +201,16 @@ class ProcessPool:
                 self._start(min(self.n_workers, busy), shipped)
                 for worker in self._workers:
                     give(worker)
-                heard = wait([worker.connection for worker in self._workers])  # messages, and ends of processes
-                for worker in [worker for worker in self._workers if worker.connection in heard]:
+                readable = wait([worker.connection for worker in self._workers])  # messages, and ends of processes
+                for worker in [worker for worker in self._workers if worker.connection in readable]:
                     number = worker.number
                     try:
                         message = worker.connection.recv()
                     except (EOFError, OSError):
                         how = self._bury(worker)
                         if number is None:
-                            stillborn += not worker.ready
-                            if stillborn == ATTEMPTS:
+                            failed_starts += not worker.ready
+                            if failed_starts == ATTEMPTS:
                                 raise GbidError(f"worker processes cannot start ({how}); try --engine serial") from None
                             continue
                         deaths[number] += 1
@@ -221,7 +221,7 @@ class ProcessPool:
                             yield number, outcome
                         continue
                     if message == READY:
-                        worker.ready, stillborn = True, 0
+                        worker.ready, failed_starts = True, 0
                         continue
                     number, answer = message
                     outcome, worker.number = outcome_of(answer), None
@@ -239,12 +239,12 @@ class ProcessPool:
         for name in _OF_FITS if count > len(self._workers) and context.get_start_method() == "fork" else ():
             import_module(name)  # once for all workers
         for _ in range(count - len(self._workers)):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
+            parent_end, child_end = context.Pipe()
+            process = context.Process(target=serve, args=(child_end,), daemon=True, name="gbid worker")
             with _environment(_OF_WORKERS), _without_interrupts():
                 process.start()
-            theirs.close()
-            self._workers.append(_Worker(process, ours))
+            child_end.close()
+            self._workers.append(_Worker(process, parent_end))
             self._workers[-1].send(shipped)
 
     def _bury(self, worker: _Worker) -> str:

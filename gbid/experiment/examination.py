@@ -107,11 +107,11 @@ def _cache() -> Finding:
     except (CompilerMissingError, OSError, AttributeError) as error:
         return Finding("compiled kernels", Verdict.NOTE, str(folder), str(error))
     kernels = [path.stat().st_size for path in folder.glob("*.so")]
-    words = f"{folder}: {len(kernels)} kernels, {file_size(sum(kernels))}"
+    text = f"{folder}: {len(kernels)} kernels, {file_size(sum(kernels))}"
     if not works:
-        return Finding("compiled kernels", Verdict.BAD, words, "a compiled function is wrong: `gbid clean --kernels`")
+        return Finding("compiled kernels", Verdict.BAD, text, "a compiled function is wrong: `gbid clean --kernels`")
     remedy = f"{why_not_trusted(folder) or library.note}: chmod go-w it, or set GBID_CACHE_DIR" if library.note else ""
-    return Finding("compiled kernels", Verdict.NOTE if remedy else Verdict.GOOD, words, remedy)
+    return Finding("compiled kernels", Verdict.NOTE if remedy else Verdict.GOOD, text, remedy)
 
 
 def _disks() -> Iterator[Finding]:
@@ -121,8 +121,8 @@ def _disks() -> Iterator[Finding]:
             remedy = "cannot be written; results can go elsewhere with --results"
         elif free < _LITTLE:
             remedy = "little room; `gbid check` says how much an experiment needs"
-        words = f"{folder.resolve()}: {file_size(free)} free"
-        yield Finding(what, Verdict.NOTE if remedy else Verdict.GOOD, words, remedy)
+        text = f"{folder.resolve()}: {file_size(free)} free"
+        yield Finding(what, Verdict.NOTE if remedy else Verdict.GOOD, text, remedy)
 
 
 def _threads() -> Iterator[Finding]:
@@ -133,5 +133,5 @@ def _threads() -> Iterator[Finding]:
 
     np.ones((2, 2)) @ np.ones((2, 2))
     libraries = [f"{lib['internal_api']} with {lib['num_threads']}" for lib in threadpool_info()]
-    words = f"{', '.join(libraries) or 'none found'} threads; fits use one each"
-    yield Finding("BLAS", Verdict.GOOD, words)
+    text = f"{', '.join(libraries) or 'none found'} threads; fits use one each"
+    yield Finding("BLAS", Verdict.GOOD, text)

@@ -471,8 +471,8 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
     if overwrite or not path.exists():
         return False
     if not stored:
-        words = "damaged, changed after it was made, or not made by an experiment"
-        raise DataError(f"{path}: {words}; remove it or use --overwrite")
+        problem = "damaged, changed after it was made, or not made by an experiment"
+        raise DataError(f"{path}: {problem}; remove it or use --overwrite")
     raise UsageError(
         f"{path} was made with other settings or data, or by another version of gbid; "
         "use --overwrite to replace it, or --results to write elsewhere"

@@ -114,8 +114,8 @@ def _section_of(kind: type[Goal]) -> type[Section]:
         default = ... if required else Field(default_factory=lambda: None)  # has no default in the JSON schema
         allowed = _Spectrum if argument.name == "spectrum" else _KINDS[hints[argument.name]]
         arguments[argument.name] = (allowed, default)
-    words = f"{(kind.__doc__ or '').splitlines()[0]} For its arguments see `gbid.control.{kind.__name__}`."
-    return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=words, **arguments)
+    description = f"{(kind.__doc__ or '').splitlines()[0]} For its arguments see `gbid.control.{kind.__name__}`."
+    return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=description, **arguments)
 
 
 def _named(value: Any) -> Any:

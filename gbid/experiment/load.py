@@ -199,11 +199,11 @@ def experiment_json_schema() -> dict[str, Any]:
     lines = tomllib.loads(Path(__file__).with_name("keys.toml").read_text(encoding="utf-8"))
     schema = ExperimentFile.model_json_schema(by_alias=True, mode="validation")
     for section in (schema, *schema.get("$defs", {}).values()):
-        words = section.get("description", "")
-        described = _described_arguments(words)
+        description = section.get("description", "")
+        described = _described_arguments(description)
         section["title"] = section.get("title", "").removesuffix("Section")
         known = lines.get("" if section is schema else section["title"], {})
-        section["description"] = _plain(words)
+        section["description"] = _plain(description)
         for key, value in section.get("properties", {}).items():
             value.pop("title", None)  # pydantic makes it from the key, which the reader sees already
             text = described.get(key) or described.get(_UNIT.sub("", key)) or ""
@@ -223,9 +223,9 @@ def _without_null(value: dict[str, Any]) -> dict[str, Any]:
     return {**kinds[0], **{key: word for key, word in value.items() if key not in ("anyOf", "default")}}
 
 
-def _described_arguments(words: str) -> dict[str, str]:
+def _described_arguments(docstring: str) -> dict[str, str]:
     """Return the argument descriptions of the function or class that a docstring names, by argument."""
-    target = _SEE.search(words)
+    target = _SEE.search(docstring)
     if not target:
         return {}
     text = inspect.getdoc(pkgutil.resolve_name(target[1])) or ""  # of a method, too
@@ -238,9 +238,9 @@ def _described_arguments(words: str) -> dict[str, str]:
     }
 
 
-def _plain(words: str) -> str:
+def _plain(markdown: str) -> str:
     """Return the text of a docstring without markup, one line per paragraph."""
-    paragraphs = inspect.cleandoc(words).strip().split("\n\n")
+    paragraphs = inspect.cleandoc(markdown).strip().split("\n\n")
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     return re.sub(r"`+([^`]*)`+", r"\1", text)
 

@@ -64,8 +64,8 @@ def looped(
         raise UsageError(f"{structure.name}: a loop needs a linear structure with constant parameters")
     if isinstance(structure, RotorBearing | PiezoPair):
         raise UsageError(
-            f"{structure.name} is a part of what the controller acts on, from r to p; write structure: plant, or leave "
-            "loop out and fit it from what was measured on both sides"
+            f"{structure.name} is only a part of the plant from r to p; write structure: plant, or remove loop: and "
+            "fit the structure from its measured inputs and outputs"
         )
     law, sampled_at = _law(experiment, section, fit, planned)
     samples = section.computation_samples if section.sampled else 0
@@ -88,7 +88,8 @@ def _law(
     if not isinstance(controller, control.ControllerDesign):
         if section.delay_s is not None:
             raise UsageError(
-                "delay_s is for a known continuous controller; an unknown one needs a Padé filter of its own"
+                "delay_s is for a known continuous controller; an unknown controller needs a Padé filter in its "
+                "structure"
             )
         return controller, sample_time(experiment, section) if section.sampled else None
     model = controller.at(*at_point(controller, _conditions(experiment, fit)))
@@ -194,8 +195,8 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
     if offer := _offered(spec.structure):
         build, package = offer
         with about("structure"):
-            made = called(build, f"{spec.structure} of {package}", **options) if callable(build) else build
-            return checked(made, spec.structure, package)
+            structure = called(build, f"{spec.structure} of {package}", **options) if callable(build) else build
+            return checked(structure, spec.structure, package)
     if not file_of(spec.structure):
         hint = nearest(spec.structure, BUILT_IN)
         raise UsageError(

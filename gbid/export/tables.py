@@ -66,7 +66,7 @@ def save_csv(
     path = given_path(path)
     if frequency_hz is not None:
         if isinstance(what, FrequencyData):
-            raise UsageError(f"{path}: measured responses have frequencies of their own; leave frequency_hz out")
+            raise UsageError(f"{path}: measured responses already have frequencies; remove frequency_hz")
         if isinstance(what, LPVModel):
             raise UsageError(
                 f"{path}: an LPV model has a frequency response at one operating point only; "

@@ -172,7 +172,7 @@ def hold_notes(names: Sequence[str], units: Sequence[str], moved: FloatArray, st
     if not each:
         return []
     text = (
-        "the inputs are known at their samples only: with exact delays, and on curves between samples, estimates move, "
+        "the inputs are known at their samples only: with exact delays and smooth inputs, estimates would change, "
         f"and their intervals are widened by that: {', '.join(each)}; fit from the references, which are held "
         "(Plant, from r to u and p)"
     )
@@ -260,9 +260,9 @@ def left_out_notes(
         follows = p < _CHANCE / p.size
     elif share >= _SHARE:
         text = (
-            f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they "
-            "are not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a "
-            "ClosedLoop"
+            f"past errors explain {100 * share:.0f} % of the unpredictable part of an input, as in a control "
+            "loop, and the errors are not white: the estimates have a bias; free a disturbance gain "
+            "(focus='prediction'), or fit a ClosedLoop"
         )
         return [FitNote.FEEDBACK(text)]
     if not follows.any():
@@ -271,13 +271,13 @@ def left_out_notes(
         others = [e[-len(u) :] for e, u in zip(others, inputs, strict=True)]
         if not (followed(others, inputs, white=white) < _CHANCE / p.size).any():
             return []
-    told = [
+    notes = [
         f"{output} follow {', '.join(name for name, too in zip(data.input_names, row, strict=True) if too)}"
         for output, row in zip(data.output_names, follows, strict=True)
         if row.any()
     ]
     text = (
-        f"the structure leaves something out: the residuals of {', those of '.join(told)} (p = {p.min():.1g}); the "
+        f"the structure is incomplete: the residuals of {', those of '.join(notes)} (p = {p.min():.1g}); the "
         "estimates have a bias, which no standard deviation contains"
     )
     return [FitNote.LEFT_OUT(text)]

@@ -85,7 +85,7 @@ def _twins(records: Sequence[Record]) -> Iterator[str]:
     for one, other in chain.from_iterable(combinations(group, 2) for group in alike.values()):
         if np.array_equal(one.outputs, other.outputs) and np.array_equal(one.inputs, other.inputs):
             yield FitNote.TWINS(
-                f"recordings {one.name!r} and {other.name!r} have the same samples: they tell nothing new, and make "
+                f"recordings {one.name!r} and {other.name!r} have the same samples, which make "
                 "standard deviations too small; leave one out"
             )
 
@@ -146,5 +146,5 @@ def _early_answers(record: Record, data: FitData) -> Iterator[str]:
         yield FitNote.BEFORE_CAUSE(
             f"recording {record.name!r}: output {data.output_names[lead.channel]!r} moves about {lead.samples} samples "
             f"({lead.samples * data.sample_time:.2g} s) before steps of the inputs, which no model of the fit can do: "
-            "the columns have clocks of their own, or one begins later; align them"
+            "the columns have different clocks, or one begins later; align them"
         )

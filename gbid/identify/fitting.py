@@ -95,11 +95,9 @@ def _dependence_notes(task: FitTask, result: FitResult) -> tuple[str, ...]:
         largest = sorted(each.weights, key=lambda name: -abs(each.weights[name]))[:_NAMED]
         parts = [name for name in largest if abs(each.weights[name]) > _OF_ERROR * abs(each.weights[largest[0]])]
         of = " + ".join(f"{each.weights[name]:.4g} {name}" for name in parts)
-        what = "tells nothing new, and the fit leaves it out"
+        what = "contains no new information, and the fit leaves it out"
         if each.name in task.data.output_names:
-            what = (
-                "has no errors of its own to weight it by; leave it out of the structure, or fix what acts on it alone"
-            )
+            what = "has no prediction errors to weight it by; remove it from the structure, or fix its own parameters"
         text = (
             f"output {each.name!r} is a combination of others ({of}) to {each.left / error:.1g} of its error: it {what}"
         )

@@ -635,7 +635,7 @@ def _of_periods(
     if not np.isfinite(response).any():
         raise DataError(
             f"at no line do as few inputs move as there are recordings ({len(recordings)}): record as many as inputs, "
-            "with different phases, or give each input lines of its own"
+            "with different phases, or give each input different lines"
         )
     f = np.asarray((chosen + 1) / period_s, float)
     return f, response, np.sqrt(variance), coherence, float(periods)

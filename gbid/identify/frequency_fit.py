@@ -161,7 +161,7 @@ class ResponseResiduals(NamedTuple):
         if self.follow:
             what = "the structure leaves something out: errors of neighbouring frequencies follow each other"
             return (FitNote.LEFT_OUT(f"{what}, and are larger than {p}"),)
-        return (FitNote.NOT_WHITE(f"errors are larger than {p}: those of the estimates are the robust ones"),)
+        return (FitNote.NOT_WHITE(f"errors are larger than {p}: the estimates have the robust standard deviations"),)
 
 
 def _tests(groups: Sequence[tuple[ResponseGroup, ComplexArray]], n_free: int) -> tuple[FloatArray, bool]:

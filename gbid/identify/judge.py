@@ -47,7 +47,7 @@ from gbid.identify.uncertainty.profiles import Profiler
 from gbid.identify.uncertainty.residual_tests import Whiteness, whiteness_test
 from gbid.structure.kinds import kind_of
 
-_EQUAL = 1e-3  # largest relative difference of parameters that meet: the data tell it ever less well
+_EQUAL = 1e-3  # largest relative difference of parameters that count as equal: the data determine it less and less
 _NEARLY_ALL = 0.99  # smallest share of their difference in what the data do not determine
 _NEAR = 1e-2  # of the range between both bounds, farther from which an estimate lies on none, wherever the data push it
 _WORSE = 0.01  # part by which the loss may exceed that of a constant: its mean takes a little of the noise along
@@ -307,7 +307,7 @@ class Judged:
         return Covariance(nothing, nothing, np.nan, np.zeros((0, len(held))), np.inf, curvature=nothing)
 
     @cached_property
-    def meeting(self) -> tuple[Covariance, list[tuple[int, int]]]:
+    def coalescence(self) -> tuple[Covariance, list[tuple[int, int]]]:
         """Covariance from the noise alone, and coalescent pairs of exchangeable parameters.
 
         Where two such parameters are equal, nothing changes when they part by little: their difference has no
@@ -339,7 +339,7 @@ class Judged:
     @property
     def of_noise(self) -> Covariance:
         """Covariance of the estimates from the noise alone."""
-        return self.meeting[0]
+        return self.coalescence[0]
 
     @cached_property
     def unknown(self) -> BoolArray:
@@ -649,12 +649,12 @@ def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[
     chosen = np.flatnonzero(open_sign)
     size = np.abs(values[chosen])
     _, axes = np.linalg.eigh(white[np.ix_(chosen, chosen)] / np.outer(size, size))
-    notes, told = [], np.zeros(len(chosen), bool)
+    notes, reported = [], np.zeros(len(chosen), bool)
     for direction in axes.T[::-1]:
         strong = np.abs(direction) > _INVOLVED * np.abs(direction).max()
-        if told[strong].all():
+        if reported[strong].all():
             continue
-        told |= strong
+        reported |= strong
         involved = names[chosen[strong]]
         times = float((sigma[chosen] / size)[strong].max())
         if len(involved) == 1:
@@ -685,7 +685,7 @@ def far_below_white(judged: Judged) -> Iterator[str]:
         yield FitNote.FAR_BELOW_WHITE(
             f"standard deviations far below those for white errors (down to {float(ratio[low].min()):.2g} of them): "
             f"{', '.join(np.array(judged.free)[low])}; they hold only if the errors have hardly any power where these "
-            "parameters act, as the residuals say; std_with('white') is the careful choice"
+            "parameters act, as the residuals indicate; std_with('white') is the conservative choice"
         )
 
 
@@ -745,7 +745,7 @@ def may_cover_less(
     grid = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
     coloured = [model for model in models if model.order]
     power = [np.diagonal(model.spectrum(grid), axis1=1, axis2=2).real.mean(axis=0) for model in coloured]
-    told = []
+    modes_named = []
     for frequency, damping in modes:
         if not 0 < damping < _LIGHT:
             continue
@@ -761,17 +761,17 @@ def may_cover_less(
                 f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
                 "times of decay; record longer, or free a disturbance gain"
             )
-            told.append(FitNote.MAY_COVER_LESS(text))
+            modes_named.append(FitNote.MAY_COVER_LESS(text))
         elif decays < _UNSEEN:
-            why = "are too short to tell its motion from what disturbances make of it; record longer"
+            why = "are too short to separate its motion from the effect of disturbances; record longer"
             if not gain:
-                why = "do not show whether disturbances move it; record longer, or free a disturbance gain"
+                why = "do not show whether disturbances excite it; record longer, or free a disturbance gain"
             text = (
                 f"intervals may contain the truth less often than they state: the recordings last {decays:.2g} times "
                 f"of decay of the mode of {frequency:.3g} Hz, and {why}"
             )
-            told.append(FitNote.MAY_COVER_LESS(text))
-    return told
+            modes_named.append(FitNote.MAY_COVER_LESS(text))
+    return modes_named
 
 
 def predictor_at_edge(judged: Judged) -> Iterator[str]:
@@ -783,11 +783,11 @@ def predictor_at_edge(judged: Judged) -> Iterator[str]:
         )
 
 
-def poles_meet(judged: Judged) -> Iterator[str]:
+def equal_poles(judged: Judged) -> Iterator[str]:
     """Yield a note on each coalescent pair of exchangeable parameters."""
-    for i, j in judged.meeting[1]:
-        text = f"{judged.free[i]} and {judged.free[j]} meet: complex poles may have a lower loss"
-        yield FitNote.POLES_MEET(f"{text}; fit PiezoPair(poles='any')")
+    for i, j in judged.coalescence[1]:
+        text = f"{judged.free[i]} and {judged.free[j]} are equal: complex poles may have a lower loss"
+        yield FitNote.EQUAL_POLES(f"{text}; fit PiezoPair(poles='any')")
 
 
 def shaft_as_mode(judged: Judged) -> Iterator[str]:
@@ -838,16 +838,16 @@ def integration(judged: Judged) -> Iterator[str]:
     ]
     if not moved:
         return
-    task, moved_ones = judged.optimum.problem.task, ", ".join(moved)
+    task, moved_names = judged.optimum.problem.task, ", ".join(moved)
     if task.courses:
         yield FitNote.PIECES(
             f"{task.courses.schedule.pieces} pieces with constant parameters are too few for the courses: with shorter "
-            f"ones estimates move, in standard deviations: {moved_ones}; make piece_s shorter, or fit fewer recordings"
+            f"ones estimates move, in standard deviations: {moved_names}; make piece_s shorter, or fit fewer recordings"
         )
     else:
         yield FitNote.INTEGRATION(
-            f"the error of the integration moves estimates, in standard deviations: {moved_ones}; take more steps in a "
-            "sample (steps=...), or integrator='implicit'"
+            f"the error of the integration moves estimates, in standard deviations: {moved_names}; take more "
+            "steps in a sample (steps=...), or integrator='implicit'"
         )
 
 
@@ -862,7 +862,7 @@ CHECKS: tuple[Callable[[Judged], Iterable[str]], ...] = (
     biased,
     low_coverage,
     predictor_at_edge,
-    poles_meet,
+    equal_poles,
     lambda judged: judged.shaft,
     before_the_optimum,
     lambda judged: decay_notes(judged.optimum.problem.task.data),

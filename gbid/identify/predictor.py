@@ -554,7 +554,7 @@ def _built(
 def refuse_irregular(structure: str, what: str) -> Never:
     """Raise the error for irregular times, with the part of the structure that acts between samples."""
     raise UsageError(
-        f"structure {structure!r}: {what} with samples at irregular times: what happens between two of them is not "
+        f"structure {structure!r}: {what} with samples at irregular times: the motion between two samples is not "
         "computed. Take rational delays (pade_order=2), or, where all times are multiples of a resolution of the "
         "clock, import the samples onto this grid (gaps: missing, and the resolution as sample_time_s)"
     )

@@ -170,7 +170,7 @@ _MISSING = (FitNote.LEFT_OUT, FitNote.FEEDBACK)  # notes on residuals that follo
 def best_attempt(task: FitTask) -> FitResult:
     """Return the first converged result, else the one of smallest loss; notes mention other attempts.
 
-    Where its residuals follow an input, a note names what may be missing.
+    Where its residuals follow an input, a note names effect that may be missing.
     """
     attempt = _best_attempt(task)
     result = attempt.result
@@ -276,8 +276,8 @@ class Ladder:
         """
         held = solved(self.task.problem(start, window, gain_held=True))
         if held.result.success:
-            hidden = any(FitNote.MAY_COVER_LESS.value in note for note in held.result.notes)
-            status = FitStatus.GAIN_NOT_DETERMINED if hidden else FitStatus.CONVERGED_GAIN_HELD
+            may_cover_less = any(FitNote.MAY_COVER_LESS.value in note for note in held.result.notes)
+            status = FitStatus.GAIN_NOT_DETERMINED if may_cover_less else FitStatus.CONVERGED_GAIN_HELD
             held = replace(held, result=held.result.changed(status=status))
         note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
         return held.noted(FitNote.GAIN_HELD(note))
@@ -315,7 +315,7 @@ class Ladder:
             if other.good or other.agrees(attempts[:-1]):
                 return attempts
         if chosen == "auto":
-            text = "windows of other lengths did not converge to what is believed; this is the result with one"
+            text = "windows of other lengths did not converge to a successful fit; this is the result with one"
             return [*attempts, solved(task.problem(task.begin.values, None)).noted(FitNote.WINDOWS_CHANGED(text))]
         return attempts or [solved(task.problem(task.begin.values, chosen))]
 

@@ -68,10 +68,12 @@ class FitStatus(StrEnum):
         "not converged: fits in windows of other lengths end elsewhere, and the residuals of the best are strongly "
         "correlated; try other start values (fit_multistart)"
     )
-    NOT_DETERMINED = "not determined: a free parameter has no standard deviation; fix or bound what the notes name"
+    NOT_DETERMINED = (
+        "not determined: a free parameter has no standard deviation; fix or bound the parameters that the notes name"
+    )
     GAIN_NOT_DETERMINED = (
-        "not determined: a free disturbance gain led to an almost unstable predictor and was held, and the recordings "
-        "do not show whether disturbances move a light mode; record longer, or hold the gain (fixed)"
+        "not determined: a free disturbance gain led to an almost unstable predictor and was fixed, and the recordings "
+        "do not show whether disturbances excite a lightly damped mode; record longer, or fix the gain (fixed=...)"
     )
     STEPS_TOO_SMALL = "not converged: steps became too small; a parameter may not be determined"
     NO_STEP = "not converged: the step cannot be computed; a parameter may not be determined"
@@ -87,7 +89,7 @@ class FitStatus(StrEnum):
         "not converged: the model grows over a recording, in which errors='ar' cannot weight its errors; "
         "start from a stable model, or use errors='white'"
     )
-    SOLVER_FAILED = "not converged: the solver stopped for a reason of its own"
+    SOLVER_FAILED = "not converged: the solver stopped for another reason"
 
     @property
     def success(self) -> bool:

@@ -278,9 +278,11 @@ def as_estimates(
             fits.values[:, columns],
             fits.covariance_of(KEY_PARAMETERS),
         )
-        made = fits.structure != ""
-        rows = zip(fits.success.tolist(), made.tolist(), fits.status.tolist(), strict=True)
-        return _finite(estimates, [_reason(success, str(status) if not made else "") for success, made, status in rows])
+        fitted = fits.structure != ""
+        rows = zip(fits.success.tolist(), fitted.tolist(), fits.status.tolist(), strict=True)
+        return _finite(
+            estimates, [_reason(success, str(status) if not fitted else "") for success, fitted, status in rows]
+        )
     what = f"({', '.join(scheduling)})"
     if points is None or len(points) != len(fits):
         given = "none" if points is None else str(len(points))

@@ -115,8 +115,8 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         group.attrs.update({"model": self.model.name, "success": self.success})
         hdf5.add_texts(group, "parameters", KEY_PARAMETERS)
         hdf5.add_texts(group, "terms", TERMS)
-        words = "coefficients, parameters by terms"
-        hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", words)
+        long_name = "coefficients, parameters by terms"
+        hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", long_name)
 
     def write_beside(self, path: Path, overwrite: bool) -> None:
         """Write the model to a YAML file beside `path`; `overwrite` as for `gbid.save`."""

@@ -564,7 +564,7 @@ def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
     return (
         SurfaceNote.SCATTER_UNSEEN(
             f"recordings that alone determine the surfaces at their operating point: {named}; "
-            "no residual shows how they scatter, and the standard deviations take the scatter of the others"
+            "no residual shows their scatter, so the standard deviations use the scatter of the other recordings"
         ),
     )
 

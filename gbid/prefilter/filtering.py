@@ -136,8 +136,8 @@ def repair_overloads(rec: Recording) -> Recording:
     if not texts:
         return rec
     earlier = rec.provenance.get("import_remarks")
-    said = "; ".join([*([earlier] if earlier else []), *texts])
-    return replace(rec, signals={**rec.signals, **repaired}, provenance={**rec.provenance, "import_remarks": said})
+    remarks = "; ".join([*([earlier] if earlier else []), *texts])
+    return replace(rec, signals={**rec.signals, **repaired}, provenance={**rec.provenance, "import_remarks": remarks})
 
 
 def _overloaded(distance: FloatArray) -> IntArray:
@@ -530,16 +530,16 @@ class OnlinePrefilter:
     def _without_runout(self, position: FloatArray, angle: float | None) -> FloatArray:
         if position.ndim != 1 or not np.isfinite(position).all():
             raise DataError(f"position {position} is not one sample of finite numbers; leave the sample out")
-        made, value = self._map, position
-        if made is not None:
-            if position.shape != made.mean.shape:
-                raise DataError(f"position has {len(position)} channels, the run-out map {len(made.mean)}")
-            if not made.needs_angle:
-                value = value - made.mean
+        runout_map, value = self._map, position
+        if runout_map is not None:
+            if position.shape != runout_map.mean.shape:
+                raise DataError(f"position has {len(position)} channels, the run-out map {len(runout_map.mean)}")
+            if not runout_map.needs_angle:
+                value = value - runout_map.mean
             elif angle is None or not np.isfinite(angle):
                 raise DataError(f"angle = {angle}; the run-out map needs the shaft angle [rad] of each sample")
             else:
-                value = value - made.evaluate(np.array([float(angle)]))[0]
+                value = value - runout_map.evaluate(np.array([float(angle)]))[0]
         return np.asarray(value if self._offset is None else value - self._offset)
 
 
@@ -656,10 +656,10 @@ def read_report(path: str | Path) -> PrefilterReport:
         return _read_report(hdf5.read_group(file, "prefilter_report"))
 
 
-def _write_map(group: h5py.Group, made: RunoutMap) -> None:
-    hdf5.write_fields(group, made)
-    hdf5.add_dataset(group, "amplitudes", made.amplitudes(), "m", "amplitudes of the harmonics 1, 2, ...")
-    group.attrs["signal"], axis = ("table", "angles") if made.method == "bins" else ("cosine", "orders")
+def _write_map(group: h5py.Group, runout_map: RunoutMap) -> None:
+    hdf5.write_fields(group, runout_map)
+    hdf5.add_dataset(group, "amplitudes", runout_map.amplitudes(), "m", "amplitudes of the harmonics 1, 2, ...")
+    group.attrs["signal"], axis = ("table", "angles") if runout_map.method == "bins" else ("cosine", "orders")
     hdf5.add_texts(group, "axes", [axis, "."])
 
 

@@ -143,16 +143,16 @@ class PiezoCurve(Brief, Pictured, hdf5.InFile):
             ("non-uniformity of the steps", "uniformity", 100.0, "%"),
         )
         rows = [
-            [words, formatted(None if values[key] is None else factor * values[key], 3, unit)]
-            for words, key, factor, unit in shown
+            [heading, formatted(None if values[key] is None else factor * values[key], 3, unit)]
+            for heading, key, factor, unit in shown
         ]
         return [Table(self.name, [Column(self.channel), Column("value", format=3)], rows, self.notes)]
 
     def figures(self) -> list[Figure]:
         """Return the figures of hysteresis over the command, and of the steps."""
         how = "in open loop" if self.units[0] == "V" else "with its controller"
-        words = f"Hysteresis of the piezo: {in_unit(self.hysteresis, self.units[1])} {how}"
-        return [Figure("plot_piezo_hysteresis", words, ([self],)), Figure("plot_piezo_staircase", "steps", ([self],))]
+        caption = f"Hysteresis of the piezo: {in_unit(self.hysteresis, self.units[1])} {how}"
+        return [Figure("plot_piezo_hysteresis", caption, ([self],)), Figure("plot_piezo_staircase", "steps", ([self],))]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return rows for CSV, one for each plateau; units are in brackets behind the names."""

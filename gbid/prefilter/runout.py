@@ -327,7 +327,7 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
             )
     if 0.0 < turns < 1.0:
         raise DataError(
-            f"recording {rec.name!r}: the shaft makes {turns:.2f} of a turn, neither still nor a whole turn; "
+            f"recording {rec.name!r}: the shaft makes {turns:.2f} of a turn, less than a whole one; "
             "the run-out map needs every angle"
         )
     return ShaftMotion(angle, turns)

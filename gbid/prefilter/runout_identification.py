@@ -99,7 +99,7 @@ def identify_runout(
     motions = [shaft_motion(rec) for rec in group]
     turning = {motion.turns > 0 for motion in motions}
     if len(turning) > 1:
-        raise DataError(f"of {', '.join(r.name for r in group)} some turn and some stand still; map them apart")
+        raise DataError(f"of {', '.join(r.name for r in group)} some turn and some stand still; make separate maps")
 
     p = [rec.signal(signal) for rec in group]
     n_channels = p[0].shape[1]
@@ -115,7 +115,7 @@ def identify_runout(
         means = [_mean_over_turns(motion, values) for motion, values in zip(motions, p, strict=True)]
         centred = np.vstack([values - mean for values, mean in zip(p, means, strict=True)])
         angles, table = _bin_means(np.concatenate([m.angle for m in motions]), centred, bins)
-    made = RunoutMap(
+    runout_map = RunoutMap(
         method="mean" if turning == {False} else method,
         mean=np.mean(means, axis=0),
         orders=orders,
@@ -132,10 +132,10 @@ def identify_runout(
         notes=tuple(notes),
     )
     residuals = [
-        values - mean - (made.evaluate(motion.angle) - made.mean)
+        values - mean - (runout_map.evaluate(motion.angle) - runout_map.mean)
         for values, mean, motion in zip(p, means, motions, strict=True)
     ]
-    return replace(made, rms_after=_rms(residuals))
+    return replace(runout_map, rms_after=_rms(residuals))
 
 
 def _check_still(rec: Recording, still: float, notes: list[str], signals: tuple[str, ...]) -> None:
@@ -527,11 +527,11 @@ def _tried(method: str, size: int, parts: list[Recording], still: float) -> Runo
     for i, held_out in enumerate(parts):
         others = [part for j, part in enumerate(parts) if j != i]
         try:
-            made = identify_runout(others, still=still, **sized)
+            runout_map = identify_runout(others, still=still, **sized)
         except DataError as error:
             no_folds = np.full((0, n_channels), np.nan)
             return RunoutTrial(method, size, np.full(n_channels, np.nan), no_folds, note=str(error))
-        rest = held_out.signal("p") - made.evaluate(shaft_motion(held_out).angle)
+        rest = held_out.signal("p") - runout_map.evaluate(shaft_motion(held_out).angle)
         rms.append(rest.std(axis=0))
     return _trial(method, size, np.array(rms))
 
@@ -654,7 +654,7 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: Count = 
         When signals are missing, when channels differ, or when there are too few turns.
     """
     if not runout_map.needs_angle:
-        raise UsageError("the run-out map is that of a shaft at rest; it knows no angle to align")
+        raise UsageError("the run-out map was measured with the shaft at rest; it has no angle to align")
     p, motion = recording.signal("p"), shaft_motion(recording)
     if recording.channels["p"] != runout_map.channels:
         raise DataError(f"recording {recording.name!r} and the run-out map differ in the channels of p")

@@ -234,11 +234,11 @@ def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColum
             f"({begin or 'the steps of their clocks differ'}); sample all channels with one clock, or resample them "
             "with the program of the logger"
         )
-    said = f"{begin or 'clocks of several columns'}: aligned on their common span of {n} samples"
+    remark = f"{begin or 'clocks of several columns'}: aligned on their common span of {n} samples"
     return {
         name: column._replace(
             values=column.values[firsts[name] : firsts[name] + n],
-            remark="; ".join(filter(None, (column.remark, said))),
+            remark="; ".join(filter(None, (column.remark, remark))),
         )
         for name, column in columns.items()
     }

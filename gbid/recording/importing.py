@@ -337,15 +337,15 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
 
 def _calibration_in_words(name: str, signal: SignalMapping, columns: Mapping[str, FileColumn]) -> list[str]:
     """Return a text on the calibration of a signal's columns, and on numbers beyond a calibration table."""
-    said = []
+    parts = []
     for column, calibration in zip(signal.columns, signal.calibrations, strict=True):
         if calibration is None:
             continue
         points = [f"{number:g} is {value:g} {signal.unit}" for number, value in calibration.points]
         text = f"{name}, {column}: {', '.join(points[:2] if len(points) == 2 else (points[0], '...', points[-1]))}"
         beyond = 0 if signal.calibration is None else calibration.beyond(columns[column].values)
-        said.append(f"{text}, {beyond} samples beyond these points" if beyond else text)
-    return said
+        parts.append(f"{text}, {beyond} samples beyond these points" if beyond else text)
+    return parts
 
 
 def _another(name: str, unit: str) -> str:

@@ -111,19 +111,19 @@ def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, .
 
 def _role(name: str) -> tuple[str | None, int, str]:
     """Return a channel's role and axis number from its name, with the reason."""
-    words = words_of(name)
-    if short := _SHORT.fullmatch("".join(words)):
-        words = [short[1], short[2]]
-    if words in (["x"], ["y"]):
-        return "p", _AXES[words[0]], f"axis {words[0]} alone"
-    for word in words:
+    tokens = words_of(name)
+    if short := _SHORT.fullmatch("".join(tokens)):
+        tokens = [short[1], short[2]]
+    if tokens in (["x"], ["y"]):
+        return "p", _AXES[tokens[0]], f"axis {tokens[0]} alone"
+    for word in tokens:
         if _OTHER.match(word):
             return None, 0, f"{word!r} is none of r, u, p and phi"
     for role in _WORDS:
-        if word := next((w for w in words if w in _WORDS[role] or w.startswith(_STEMS[role])), ""):
+        if word := next((w for w in tokens if w in _WORDS[role] or w.startswith(_STEMS[role])), ""):
             if role == "phi":
                 return role, 0, f"{word!r}"
-            axis = words[-1] if words[-1].isdecimal() else next((w for w in reversed(words) if w in _AXES), "")
+            axis = tokens[-1] if tokens[-1].isdecimal() else next((w for w in reversed(tokens) if w in _AXES), "")
             number = int(axis) if axis.isdecimal() else _AXES.get(axis, 0)
             return role, number, f"{word!r}, axis {axis}" if axis else f"{word!r}, no axis"
     return None, 0, _UNKNOWN

@@ -263,19 +263,19 @@ class TextLayout:
     @property
     def remark(self) -> str:
         """Text on assumptions and skipped lines; empty for a plain file of names, units and rows."""
-        said = []
+        parts = []
         if self.header is None:
-            said.append(f"no line has names: the columns are numbered, and line {self.rows_from} is the first row")
+            parts.append(f"no line has names: the columns are numbered, and line {self.rows_from} is the first row")
         if self.block:
-            said.append(f"{_lines_in_words(*self.block)} between names and numbers left out")
+            parts.append(f"{_lines_in_words(*self.block)} between names and numbers left out")
         if self.rows_to:
-            said.append(f"what follows line {self.rows_to} begins with a word and is left out")
+            parts.append(f"what follows line {self.rows_to} begins with a word and is left out")
         if self.segments:
             lines = ", ".join(map(str, self.segments))
-            said.append(
+            parts.append(
                 f"{len(self.segments) + 1} segments; the headers of those after the first, lines {lines}, left out"
             )
-        return "; ".join(said)
+        return "; ".join(parts)
 
 
 def _lines_in_words(first: int, last: int) -> str:
@@ -655,11 +655,11 @@ class TextTable:
     @property
     def remark(self) -> str:
         """Text on assumptions, left-out lines, and a stated number of rows that is wrong."""
-        count, said = len(self.rows) + self.n_left_out, [self.layout.remark]
+        count, parts = len(self.rows) + self.n_left_out, [self.layout.remark]
         if self.stated and self.stated[1] != count:
             line, number = self.stated
-            said.append(f"line {line.number} states {number} samples, the file has {count}")
-        return "; ".join(filter(None, (*said, f"the last line is {CUT}" if self.is_cut else "")))
+            parts.append(f"line {line.number} states {number} samples, the file has {count}")
+        return "; ".join(filter(None, (*parts, f"the last line is {CUT}" if self.is_cut else "")))
 
     @cached_property
     def cells(self) -> list[list[str]]:

@@ -43,19 +43,19 @@ def campaign_document(
 def _fit_of_campaign(table: identify.FitTable, name: str) -> Row:
     """Return a summary of one fit name: converged, unconverged and missing models, median fit percent, worst fit."""
     rows = table.select(fit=name)
-    made = np.isfinite(rows.fit_percent).any(axis=1)
-    smallest = rows.fit_percent[made].min(axis=1, initial=np.inf)
+    fitted = np.isfinite(rows.fit_percent).any(axis=1)
+    smallest = rows.fit_percent[fitted].min(axis=1, initial=np.inf)
     worst = int(np.argmin(smallest)) if smallest.size else None
     return {
         "fit": name,
         "fits": len(rows),
         "converged": int(rows.success.sum()),
-        "not_converged": int(made.sum() - rows.success.sum()),
-        "missing": int((~made).sum()),
+        "not_converged": int(fitted.sum() - rows.success.sum()),
+        "missing": int((~fitted).sum()),
         "median_fit_percent": {
-            output: float(np.median(rows.fit_percent[made, j])) for j, output in enumerate(rows.output_names)
+            output: float(np.median(rows.fit_percent[fitted, j])) for j, output in enumerate(rows.output_names)
         },
-        "worst": None if worst is None else str(rows.model[made][worst]),
+        "worst": None if worst is None else str(rows.model[fitted][worst]),
         "worst_fit_percent": None if worst is None else float(smallest[worst]),
     }
 

@@ -63,7 +63,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     data = sensitivity_data(plant, controller, frequency)
     peak, control = (design.figures.at(row)[name] for name in ("peak_output", "peak_control"))
     alt = f"Sensitivities of {title}: peak of S_o {peak:.2f}, of K S_o {control:.2f}"
-    words = (
+    caption = (
         f"at its worst operating point, {place}: smallest damping factor {worst:.3f} {_sampled_words(design)}; root "
         "locus, sensitivities and impacts are those of the continuous loop"
     )
@@ -73,7 +73,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
         *(_impact(pictures, design, plant, controller, place, axis) for axis in "xy"),
     ]
     return [
-        Words(f"Pictures of {design.name}, {words}."),
+        Words(f"Pictures of {design.name}, {caption}."),
         Gallery(shown),
         Shown(pictures.picture(plot_magnitudes(data, title=title), alt)),
     ]
@@ -146,7 +146,7 @@ def held_back(design: TunedDesign) -> list[str]:
 
 def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     """Return blocks with the tuning result of each design, and a figure of robustness and damping of all designs."""
-    tuned = results.designs.made
+    tuned = results.designs.complete
     blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:
         return blocks
@@ -155,8 +155,8 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     blocks += assessment_tables({name: design for name, design in tuned.items() if name not in drawn_over})
     blocks += design_tables(tuned)
     if any(design.promises for design in tuned.values()):
-        words = "Promised objective of robust designs over the probability; the table above has its numbers"
-        blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))
+        caption = "Promised objective of robust designs over the probability; the table above has its numbers"
+        blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), caption)))
     try:
         data = designs_pareto_data(tuned)
     except GbidError as error:
@@ -190,7 +190,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection | No
         blocks += _compared([design for design in designs if design.group == group])
     blocks += tuned_blocks(results, pictures)
     try:
-        blocks += [block for design in designs if design.came for block in _modes(results, design)][:1]
+        blocks += [block for design in designs if design.is_published for block in _modes(results, design)][:1]
     except GbidError as error:  # surfaces without physical meaning at some point
         blocks.append(Words(f"modes cannot be compared: {error}", "warn"))
     for i, design in enumerate(designs):
@@ -200,8 +200,8 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection | No
             drawn = [Words(f"{design.name} cannot be drawn: {error}", "warn")]
         blocks += drawn if i == 0 else [Fold(f"Pictures of {design.name}", drawn)]
     if model is not None:
-        words = f"the surfaces {item} of this experiment" if item else f"the model {model.name} behind the virtual rig"
-        blocks.append(explorer_part(model, words, [(d.name, d.structure, d.figures.gains) for d in designs]))
+        source = f"the surfaces {item} of this experiment" if item else f"the model {model.name} behind the virtual rig"
+        blocks.append(explorer_part(model, source, [(d.name, d.structure, d.figures.gains) for d in designs]))
     return PageSection("controller", "Controller", blocks)
 
 
@@ -209,9 +209,9 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
     first = designs[0]
     points = first.figures.points
     where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
-    words = conditions_words(first.impact, first.sample_time, first.method)
+    conditions = conditions_words(first.impact, first.sample_time, first.method)
     title = f"Designs on {first.plant.name}, worst over {where}"
-    return [comparison_table(title, [design.figures for design in designs], words)]
+    return [comparison_table(title, [design.figures for design in designs], conditions)]
 
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
@@ -256,11 +256,11 @@ def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:
         return None
     blocks: list[Block] = [Words("the cycle is not complete; run `gbid cycle` or `gbid run`", "warn")]
     if results.cycle:
-        words = (
+        caption = (
             "Rounds of the cycle: smallest damping of the loop on the rig with 95 % intervals, lines as expected from "
             "the surfaces of the round; standard deviations of the modes of the bearing, relative to round 0"
         )
-        blocks = [rounds_table(results.cycle), Shown(pictures.picture(plot_cycle(results.cycle), words))]
+        blocks = [rounds_table(results.cycle), Shown(pictures.picture(plot_cycle(results.cycle), caption))]
     elif not section.in_run:
         blocks = [Words("`gbid cycle` runs the rounds; `gbid run` leaves them out")]
     return PageSection("cycle", "Cycle", blocks)
@@ -282,7 +282,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
         except UsageError as error:
             blocks.append(Words(f"{where}: {error}", "warn"))
     blocks += [Words(why, "warn") for why in results.studies.missing.values()]
-    blocks += [table for study in results.studies.made.values() for table in study.tables()]
+    blocks += [table for study in results.studies.complete.values() for table in study.tables()]
     return PageSection("impacts", "Impacts", blocks)
 
 

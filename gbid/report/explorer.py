@@ -26,7 +26,7 @@ _LARGEST_PEAK = 20.0
 _CORNER_HZ = 1000.0
 
 
-def explorer_part(model: LPVModel, words: str, designs: Sequence[tuple[str, Any, Mapping[str, float]]]) -> Templated:
+def explorer_part(model: LPVModel, source: str, designs: Sequence[tuple[str, Any, Mapping[str, float]]]) -> Templated:
     """Return the gain explorer as a block of the report.
 
     Parameters
@@ -51,7 +51,7 @@ def explorer_part(model: LPVModel, words: str, designs: Sequence[tuple[str, Any,
     grids = [{"label": point_label(*point), **loop_grid(model, point, corner)} for point in (points[i] for i in spread)]
     shown = [("no feedback", 0.0, 0.0), *((name, x, y) for name, x, y, own in buttons if own == corner)]
     data = {"gains": GAINS.tolist(), "points": grids, "designs": shown, "cap": PEAK_SENSITIVITY}
-    return Templated("explorer.html.j2", {"words": words, "corner": corner, "data": data})
+    return Templated("explorer.html.j2", {"words": source, "corner": corner, "data": data})
 
 
 def loop_grid(model: LPVModel, point: Sequence[float], corner_hz: float) -> dict[str, Any]:

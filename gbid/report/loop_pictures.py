@@ -403,8 +403,8 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
         results = [design.result, *(result for _, result in design.front)]
         label = design.performance[0].structure if design.performance else name
         label = name if label in fronts else label
-        made = [(q.peak_sensitivity, q.value) for q in results if q.success and q.peak_sensitivity is not None]
-        fronts[label] = sorted(made)
+        pairs = [(q.peak_sensitivity, q.value) for q in results if q.success and q.peak_sensitivity is not None]
+        fronts[label] = sorted(pairs)
     first, marked = next(iter(chosen.values())), {}
     runs = first.result.sample_time is not None
     figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
@@ -481,8 +481,8 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
         at = [p.probability for p in design.promises]
         panel.plot(at, [p.promised for p in design.promises], label=name, **look)
         plain = [p.of_nominal for p in design.promises]
-        words = f"{name} for the nominal plant (limits kept: {100 * design.promises[0].limits_of_nominal:.0f} %)"
-        panel.plot(at, plain, label=words, **{**look, "linestyle": ":", "markerfacecolor": "none"})
+        label = f"{name} for the nominal plant (limits kept: {100 * design.promises[0].limits_of_nominal:.0f} %)"
+        panel.plot(at, plain, label=label, **{**look, "linestyle": ":", "markerfacecolor": "none"})
     unit = {"damping": "promised damping factor [-]", "decay": "promised decay [1/s]"}
     objectives = {design.result.objective for design in robust.values()}
     panel.set_xlabel("probability [-]")

@@ -359,8 +359,8 @@ def plot_residuals(
         top.set_title(heading, pad=8)
         bottom.set_xlabel("lag [samples]")
     if ax is None:
-        words = "shaded: 99 % of the values if the residuals are white,", "or independent of the input"
-        figure.supxlabel((" " if n_columns > 2 else "\n").join(words), fontsize=8)
+        captions = "shaded: 99 % of the values if the residuals are white,", "or independent of the input"
+        figure.supxlabel((" " if n_columns > 2 else "\n").join(captions), fontsize=8)
         figure.suptitle(f"residuals on {plain_label(test.recording)}" if title is None else title, fontsize=10)
     return axes
 

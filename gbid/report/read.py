@@ -79,7 +79,7 @@ class AssessedDesign:
         Cap on the peak of S_o.
     for_sampling : bool
         Whether the cap is on the sampled loop, for which the controller was designed.
-    came : bool
+    is_published : bool
         Whether it is the published controller.
     """
 
@@ -93,7 +93,7 @@ class AssessedDesign:
     method: Method
     cap: float | None
     for_sampling: bool = False
-    came: bool = False
+    is_published: bool = False
 
     def at(self, point: tuple[float, float]) -> LinearModel:
         """Return the controller at an operating point."""
@@ -131,18 +131,24 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
             plant, sampled = design_plant(job, section)[0], section.design_for == "sampled"
             conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section), sampled
             for figures in design.performance[: None if name == first else 1]:
-                came = None if figures is design.performance[0] else published_design(experiment, section)
-                form = published_structure(came) if came else design_structure(experiment, section, plant.domain)
-                label = name if came is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
-                assessed.append(AssessedDesign(label, first, figures, form, *conditions, came=came is not None))
+                published = None if figures is design.performance[0] else published_design(experiment, section)
+                form = (
+                    published_structure(published) if published else design_structure(experiment, section, plant.domain)
+                )
+                label = (
+                    name if published is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
+                )
+                assessed.append(
+                    AssessedDesign(label, first, figures, form, *conditions, is_published=published is not None)
+                )
     return tuple(sorted(assessed, key=lambda q: q.name not in designs))
 
 
 def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDesign, ...]:
     """Return the assessed published controller of a model, for an experiment without designs; empty if unknown."""
-    came = None if model is None else published_design(job.experiment)
+    published = None if model is None else published_design(job.experiment)
     figures = None if model is None else assess_published(job.experiment, model)
-    if model is None or came is None or figures is None:
+    if model is None or published is None or figures is None:
         return ()
     section = ControllerSection()
     conditions = (
@@ -151,8 +157,8 @@ def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDe
         section.method,
         peak_cap(section),
     )
-    about = figures.name, figures.name, figures, published_structure(came), model
-    return (AssessedDesign(*about, *conditions, came=True),)
+    about = figures.name, figures.name, figures, published_structure(published), model
+    return (AssessedDesign(*about, *conditions, is_published=True),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,13 +213,13 @@ class StageResults(Generic[Value]):
 
     Attributes
     ----------
-    made : dict of str to value
+    complete : dict of str to value
         Existing results by name.
     missing : dict of str to str
         Reason for each missing result, by name.
     """
 
-    made: Mapping[str, Value]
+    complete: Mapping[str, Value]
     missing: Mapping[str, str]
 
 
@@ -294,21 +300,21 @@ class Results:
     @cached_property
     def recordings(self) -> tuple[RecordingSignals, ...]:
         """Signals of the existing excited recordings."""
-        made = {f.item.section for f in self.standings if f.item.stage in ("rig", "import") and f.state == "kept"}
+        sections = {f.item.section for f in self.standings if f.item.stage in ("rig", "import") and f.state == "kept"}
         planned = self.experiment.recordings.items()
-        return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in made)
+        return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in sections)
 
     @cached_property
     def prefiltered(self) -> list[Row]:
         """Corrections by the prefilter for each channel."""
-        made = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "kept"]
-        return [row for item in made for row in correction_rows([read_report(self.job.path(PREFILTERED, item))])]
+        sections = [f.item.section for f in self.standings if f.item.stage == "prefilter" and f.state == "kept"]
+        return [row for item in sections for row in correction_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:
         """Existing fits."""
-        made = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "kept"]
-        return tuple(read_fit(self.job, item.section, item.model) for item in made)
+        items = [f.item for f in self.standings if f.item.stage == "fit" and f.state == "kept"]
+        return tuple(read_fit(self.job, item.section, item.model) for item in items)
 
     @cached_property
     def crossval(self) -> dict[str, tuple[list[CrossvalRow], validate.ValidationSummary]]:
@@ -352,7 +358,7 @@ class Results:
     def assessed(self) -> tuple[AssessedDesign, ...]:
         """Tuned designs and published controllers with their stored performance figures."""
         if self.experiment.spec.controller:
-            return assessed_designs(self.job, self.designs.made)
+            return assessed_designs(self.job, self.designs.complete)
         return assessed_published(self.job, self.loop_model)
 
     @property
@@ -374,7 +380,7 @@ class Results:
         except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
         return StageResults(
-            studies.made, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **studies.missing}
+            studies.complete, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **studies.missing}
         )
 
     @cached_property
@@ -386,7 +392,7 @@ class Results:
     def loops(self) -> list[dict[str, control.ImpactStudy]]:
         """Impact studies by loop, for each operating point."""
         points: dict[tuple[float, float], dict[str, control.ImpactStudy]] = {}
-        for study in self.studies.made.values():
+        for study in self.studies.complete.values():
             point = study.conditions["pressure_bar"], study.conditions["speed_rpm"]
             points.setdefault(point, {})[study.loop] = study
         return list(points.values())

@@ -62,18 +62,18 @@ from gbid.report.views import (
 from gbid.validate import Validation
 
 _NAMED = 5
-Kept = dict[str, tuple[object, Any]]
+Cache = dict[str, tuple[object, Any]]
 """Parts of a page that were drawn before, by name: what each stands on, and what was drawn."""
 
 
-def drawn_once(kept: Kept, name: str, stand: object, draw: Callable[[], Any]) -> Any:
+def drawn_once(cache: Cache, name: str, stand: object, draw: Callable[[], Any]) -> Any:
     """Return a cached part of the page if its inputs are unchanged; else draw it."""
-    if name not in kept or kept[name][0] != stand:
-        kept[name] = stand, draw()
-    return kept[name][1]
+    if name not in cache or cache[name][0] != stand:
+        cache[name] = stand, draw()
+    return cache[name][1]
 
 
-def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) -> PageSection | None:
+def fits_section(results: Results, pictures: Pictures, beside: str, cache: Cache) -> PageSection | None:
     """Return the section on the fits: summary and details; most curves are in separate files in the folder `beside`."""
     if not results.experiment.spec.fits:
         return None
@@ -83,9 +83,9 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
         rows = [(Cell(str(f.item), href=fit_href(f.item.section, f.item.model)), f.state, f.text) for f in lost]
         blocks.append(Table("Fits that are not there", [Column("fit"), Column("state"), Column("reason")], rows))
     for name in results.experiment.spec.fits:
-        made = [q for q in results.fits if q.fit == name]
-        if made:
-            blocks += _overview(results, name, made)
+        fits = [q for q in results.fits if q.fit == name]
+        if fits:
+            blocks += _overview(results, name, fits)
     carried: dict[str, list[MadeFit]] = {}  # each note once, with the fits that have it
     for q in results.fits:
         for note in q.document["notes"]:
@@ -97,17 +97,18 @@ def fits_section(results: Results, pictures: Pictures, beside: str, kept: Kept) 
     blocks += [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])] if items else []
     for q in (q for q in results.fits if q.document["profiles"]):
         figure = load_made_fit(results.job, q.fit, q.model).figures()[-1]
-        picture = pictures.picture(drawn(figure), figure.words)
+        picture = pictures.picture(drawn(figure), figure.caption)
         blocks.append(Fold(f"{q.fit}, {q.model}: profile likelihoods", [Shown(picture)]))
     for q in results.fits:
         for i in range(len(results.experiment.spec.fits[q.fit].responses)):
             measured = response_of(results.experiment, q.fit, i)
-            words = f"{q.fit}, {q.model}: frequency response of the model, and measured ({measured.name})"
+            caption = f"{q.fit}, {q.model}: frequency response of the model, and measured ({measured.name})"
             picture = pictures.picture(
-                plot_bode({f"model of {q.model}": load_made_fit(results.job, q.fit, q.model)}, measured=measured), words
+                plot_bode({f"model of {q.model}": load_made_fit(results.job, q.fit, q.model)}, measured=measured),
+                caption,
             )
             blocks.append(Fold(f"{q.fit}, {q.model}: frequency responses of {measured.name}", [Shown(picture)]))
-    data = {**fit_data(results, kept), "beside": beside}
+    data = {**fit_data(results, cache), "beside": beside}
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
         for key, document in data["fits"].items():
@@ -121,10 +122,10 @@ def lost_fits(results: Results) -> list[Outcome]:
     return [f for f in results.standings if f.item.stage == "fit" and f.state != "kept"]
 
 
-def fit_data(results: Results, kept: Kept) -> dict[str, Any]:
+def fit_data(results: Results, cache: Cache) -> dict[str, Any]:
     """Return the data of each fit for the script of the page."""
     curves = {name: curves_of(results, name) for name in with_curves(results)}
-    tables = {q.name: drawn_once(kept, q.name, q.document, partial(_shown_tables, q.document)) for q in results.fits}
+    tables = {q.name: drawn_once(cache, q.name, q.document, partial(_shown_tables, q.document)) for q in results.fits}
     fits = {q.name: {**_heading(results, q), **tables[q.name], **curves.get(q.name, {})} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
@@ -317,12 +318,12 @@ def value_blocks(name: str, value: Any, pictures: Pictures, models: Container[Va
     """
     blocks: list[Block] = []
     for i, figure in enumerate(value.figures() if isinstance(value, Pictured) else ()):
-        words = f"{name}: {figure.words}"
+        caption = f"{name}: {figure.caption}"
         try:
-            shown: Block = Shown(pictures.picture(drawn(figure), words))
+            shown: Block = Shown(pictures.picture(drawn(figure), caption))
         except GbidError as error:  # surfaces without physical meaning at some point
-            shown = Words(f"{words} cannot be drawn: {error}", "warn")
-        blocks.append(Fold(words, [shown]) if i else shown)
+            shown = Words(f"{caption} cannot be drawn: {error}", "warn")
+        blocks.append(Fold(caption, [shown]) if i else shown)
     tables = [linked(table, name, models) for table in titled(name, value.tables())]
     return [*blocks, *(_folded(f"{name}: {q.title}" if k else q.title, q) for k, q in enumerate(tables))]
 
@@ -341,7 +342,7 @@ def linked(table: Table, fit: str, models: Container[Value]) -> Table:
 def stage_section(id: str, title: str, results: StageResults[Any], pictures: Pictures) -> PageSection:
     """Return the section of a stage: its results, and the reasons for missing results."""
     blocks: list[Block] = [Words(why, "warn") for why in results.missing.values()]
-    for name, value in results.made.items():
+    for name, value in results.complete.items():
         blocks += value_blocks(name, value, pictures)
     return PageSection(id, title, blocks)
 
@@ -469,8 +470,8 @@ def _prefilter(results: Results) -> list[Block]:
     worse = [row for row in rows if row["runout_share"] < -WORSE]
     median = "none" if section.median == 1 else f"{section.median} samples"
     spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
-    words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
-    blocks: list[Block] = [Words(words)]
+    caption = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
+    blocks: list[Block] = [Words(caption)]
     if worse:
         names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
         blocks.append(Words(f"The run-out map made the position larger in {names}: it may not belong to them.", "warn"))
@@ -527,13 +528,15 @@ def warnings(results: Results) -> list[Link]:
     noted: dict[str, Iterable[Row]] = {
         "#fits": (q.document for q in results.fits),
         "#surfaces": (fit.document() for fit in results.surfaces.values()),
-        "#controller": (design.document() for design in results.designs.made.values()),
+        "#controller": (design.document() for design in results.designs.complete.values()),
     }
     for href, documents in noted.items():
         for code, texts in notes_by_kind(documents).items():
-            told = explanations().get(code)
-            if told and told.warns:
-                links.append(Link(f"{told.title} [{code}{f', {len(texts)} times' if len(texts) > 1 else ''}]", href))
+            explanation = explanations().get(code)
+            if explanation and explanation.warns:
+                links.append(
+                    Link(f"{explanation.title} [{code}{f', {len(texts)} times' if len(texts) > 1 else ''}]", href)
+                )
     for item, fit in results.surfaces.items():
         lack = (fit.lack_of_fit < LACK).any()
         add_if(lack, f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces")
@@ -543,7 +546,7 @@ def warnings(results: Results) -> list[Link]:
     for design in results.assessed if results.experiment.spec.controller else ():
         links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
     links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
-    for name, made in results.designs.made.items():
+    for name, made in results.designs.complete.items():
         links += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
     return links
 
@@ -565,16 +568,16 @@ def lead_figure(results: Results) -> Figure | None:
         data = design_damping_map(design)
         return Figure("plot_damping_map", f"Smallest damping factor over pressure and speed, {data.title}", (data,))
     for item, fit in [(item, fit) for item, fit in results.surfaces.items() if _has_range(fit.model)][:1]:
-        return fit.figures()[0]._replace(words=f"{item}: {fit.figures()[0].words}")
+        return fit.figures()[0]._replace(caption=f"{item}: {fit.figures()[0].caption}")
     first = next((q.fit for q in results.fits), "")
     best = max((q for q in results.fits if q.fit == first), key=attrgetter("smallest"), default=None)
     if best is not None and recordings_of(results.experiment, first, best.model):
         recording = best.document["recordings"][0]
         validation = validate_pair(results.job, first, best.model, recording)
-        words = f"Model of {best.name}, measured and simulated on {recording}: fit {best.smallest:.1f} %"
+        caption = f"Model of {best.name}, measured and simulated on {recording}: fit {best.smallest:.1f} %"
         shown, end = results.experiment.spec.figures.get(first), float(validation.time[-1])
         part = {"from_s": shown.from_s, "to_s": shown.to_s} if shown else {"from_s": end / 3, "to_s": end / 3 + _LEAD_S}
-        return Figure("plot_response", words, (validation,), part)
+        return Figure("plot_response", caption, (validation,), part)
     for signals in results.recordings:
         return load_made(results.job, results.experiment.recordings[signals.name]).figures()[0]
     return None
@@ -588,7 +591,7 @@ def _lead(results: Results, pictures: Pictures) -> list[Block]:
     """Return the figure at the top of the page as a block; empty if it cannot be drawn."""
     try:
         figure = lead_figure(results)
-        return [Shown(pictures.picture(drawn(figure), figure.words))] if figure else []
+        return [Shown(pictures.picture(drawn(figure), figure.caption))] if figure else []
     except (GbidError, OSError):
         return []
 
@@ -604,7 +607,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
         "fits": [{"fit": q.fit, "model": q.model, **q.document} for q in results.fits],
         "crossval_summary": [{"fit": name, **asdict(made)} for name, (_, made) in results.crossval.items()],
         "lpv": [{"item": name, **fit.document()} for name, fit in results.surfaces.items()],
-        "tuning": [{"design": name, **design.document()} for name, design in results.designs.made.items()],
+        "tuning": [{"design": name, **design.document()} for name, design in results.designs.complete.items()],
     }
     lines = [begin + ", ".join(words) for begin, words in outcome_words(document) if words]
     lines += [line for design in document["tuning"] for line in design_lines(design)]
@@ -613,7 +616,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
     if modes := mode_rows(document["fits"], points_of(results.experiment)):
         columns = [Column(head) for head in ("fit", "operating point", "mode", "models", "frequency [Hz]", "damping")]
         title = "Modes: means over the models, with the 95 % interval of one model"
-        table = Table(title, columns, [(q.fit, q.point, q.number, q.models, *q.words()) for q in modes])
+        table = Table(title, columns, [(q.fit, q.point, q.number, q.models, *q.formatted()) for q in modes])
         blocks.append(_folded(f"Modes, {len(modes)} rows", table))
     if notes := note_rows(document):
         blocks.append(Fold(f"Notes ({len(notes)})", [Listed([begin + text for begin, text in notes])]))
@@ -632,7 +635,7 @@ def origin_section(results: Results) -> PageSection | None:
     job = results.job
     paths = [job.path("fits", q.fit, q.model) for q in results.fits]
     paths += [job.path("lpv", name) for name in results.surfaces]
-    paths += [job.path("controller", name) for name in results.designs.made]
+    paths += [job.path("controller", name) for name in results.designs.complete]
     origins = [known(path, "made_with", read_made_with) for path in paths if path.is_file()]
     return PageSection("origin", "Made with", [origin_table(origins)]) if origins else None
 
@@ -648,8 +651,8 @@ def not_done(results: Results) -> list[str]:
         ("lpv", spec.lpv is not None, "no surfaces over pressure and speed"),
     ]
     texts = [f"{text} (no section {name})" for name, done, text in missing if not done]
-    if not results.designs.made:
+    if not results.designs.complete:
         texts.append("no controller was designed")
-    if not (results.assessed or any(design.performance for design in results.designs.made.values())):
+    if not (results.assessed or any(design.performance for design in results.designs.complete.values())):
         texts.append("no controller was assessed")
     return texts

@@ -342,13 +342,13 @@ class ModeRow(NamedTuple):
     damping: float
     damping_std: float
 
-    def words(self) -> tuple[str, str]:
+    def formatted(self) -> tuple[str, str]:
         """Return frequency and damping factor with the 95 % interval of one model, as texts."""
         return _interval(self.frequency_hz, self.frequency_std_hz), _interval(self.damping, self.damping_std)
 
     def line(self) -> str:
         """Return the mode as one line for a terminal."""
-        frequency, damping = self.words()
+        frequency, damping = self.formatted()
         models = f" (mean of {self.models})" if self.models > 1 else ""
         return f"  {self.fit} {self.point}{models}: {frequency} Hz, damping {damping}"
 

@@ -20,7 +20,7 @@ from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, render
 from gbid.report.pictures import drawn, plot
 from gbid.report.read import REPORT, Results, made_keys, report_key
 from gbid.report.sections import (
-    Kept,
+    Cache,
     curves_script,
     drawn_once,
     fits_section,
@@ -64,8 +64,8 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     path = job.experiment.results / REPORT if path is None else path
     results = Results(job)
     key = report_key(results)
-    mine = bool(stored_key(path))
-    job = replace(job, overwrite=job.overwrite or mine)
+    has_key = bool(stored_key(path))
+    job = replace(job, overwrite=job.overwrite or has_key)
 
     def write(part: Path) -> None:
         part.write_text(report_text(results, key, f"{path.stem}_curves"), encoding="utf-8")
@@ -95,20 +95,22 @@ def write_curves(job: Job, report: Path) -> list[Outcome]:
         shown = results.experiment.spec.figures.get(q.fit)
         sources = [stored_key(job.path("fits", q.fit, q.model))]
         key = content_key("curves", {"from_s": shown.from_s if shown else None}, sources)
-        mine = replace(job, overwrite=job.overwrite or bool(stored_key(path)))
+        curves_job = replace(job, overwrite=job.overwrite or bool(stored_key(path)))
         text = partial(curves_script, results, q.name, key)
-        outcomes.append(produce(mine, Result(Item("curves", q.fit, q.model), path, key), partial(_write_text, text)))
+        outcomes.append(
+            produce(curves_job, Result(Item("curves", q.fit, q.model), path, key), partial(_write_text, text))
+        )
     return outcomes
 
 
-def _write_text(made: Callable[[], str], part: Path) -> None:
-    part.write_text(made(), encoding="utf-8")
+def _write_text(text_of: Callable[[], str], part: Path) -> None:
+    part.write_text(text_of(), encoding="utf-8")
 
 
 _LATE = (static_section, surfaces_section, controller_section, impacts_section)
 
 
-def report_text(results: Results, key: str = "", beside: str = "report_curves", kept: Kept | None = None) -> str:
+def report_text(results: Results, key: str = "", beside: str = "report_curves", cache: Cache | None = None) -> str:
     """Return the report as HTML text.
 
     Parameters
@@ -122,13 +124,13 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
     kept : dict, optional
         Parts of the page before, which are used again where what they stand on is the same; updated.
     """
-    pictures, kept = Pictures(), {} if kept is None else kept
-    static, surfaces, controller, impacts = _late_sections(results, kept)
+    pictures, cache = Pictures(), {} if cache is None else cache
+    static, surfaces, controller, impacts = _late_sections(results, cache)
     middle: list[PageSection | None] = [
         summary_section(results, warnings(results), pictures),
         quality_section(results),
         static,
-        fits_section(results, pictures, beside, kept),
+        fits_section(results, pictures, beside, cache),
         loops_section(results),
         validation_section(results, pictures),
         nominal_section(results, pictures),
@@ -143,14 +145,14 @@ def report_text(results: Results, key: str = "", beside: str = "report_curves", 
     return render(spec.title, spec.name, sections, not_done(results), key)
 
 
-def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
+def _late_sections(results: Results, cache: Cache) -> list[PageSection | None]:
     """Return the sections with slow pictures; a campaign computes their results after the fits."""
     lacking = (results.statics, results.designs, results.studies)
     reasons = [item for stage in lacking for item in stage.missing.items()]
-    stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
+    stand = (results.experiment, *made_keys(results), *results.designs.complete, *results.surfaces, *reasons)
     pictures = Pictures("late")
     sections: list[PageSection | None] = drawn_once(
-        kept, "late", stand, lambda: [section(results, pictures) for section in _LATE]
+        cache, "late", stand, lambda: [section(results, pictures) for section in _LATE]
     )
     return sections
 
@@ -158,10 +160,13 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:
     """Return a comparison of models as an HTML page: table, frequency responses, and choice of the order."""
     pictures = Pictures()
-    shown = [Shown(pictures.picture(drawn(figure), figure.words)) for figure in comparison.figures()]
+    shown = [Shown(pictures.picture(drawn(figure), figure.caption)) for figure in comparison.figures()]
     blocks: list[Block] = [comparison.table(), *shown]
     if orders is not None:
-        words = f"Singular values, and errors on samples that were not used, by order; chosen: {orders.order}"
-        blocks += [Shown(pictures.picture(plot(orders), words)), Fold("Orders of the subspace model", [orders.table()])]
+        caption = f"Singular values, and errors on samples that were not used, by order; chosen: {orders.order}"
+        blocks += [
+            Shown(pictures.picture(plot(orders), caption)),
+            Fold("Orders of the subspace model", [orders.table()]),
+        ]
     section = PageSection("comparison", f"Models on {', '.join(comparison.recordings)}", blocks)
     return render("Comparison of models", "", [section], [], "")

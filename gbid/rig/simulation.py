@@ -318,7 +318,9 @@ def _posed(
     levels, start, process, whirl = random
     sample_time, surfaces = options.sample_time, options.surfaces
     if machine.film is not None and (options.scatter is not None or surfaces is not None):
-        raise UsageError("a gas film has no fourteen parameters: no scatter and no course of pressure and speed")
+        raise UsageError(
+            "a gas film lacks the fourteen parameters, so scatter and changing pressure or speed are not available"
+        )
     if isinstance(experiment, ScheduledRun) != (surfaces is not None):
         raise UsageError("surfaces are for a ScheduledRun, and it needs them: give surfaces=model.key_parameters")
     turning = _rotation(experiment, options.conditions)

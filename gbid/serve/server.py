@@ -41,7 +41,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script, script_of_page
 from gbid.report.read import AssessedDesign, Results, report_key
-from gbid.report.sections import Kept, curves_script
+from gbid.report.sections import Cache, curves_script
 from gbid.report.write import report_text
 from gbid.structure import LinearModel
 
@@ -200,7 +200,7 @@ class Live:
         self._look: tuple[_Seen, _Seen] = {}, {}
         self._read_s = self._free_s = 0.0  # time of the last reading, and from which on there is the next
         self._designs: dict[str, AssessedDesign] = {}
-        self._kept: Kept = {}
+        self._cache: Cache = {}
         self.name = self._experiment.spec.name
         load_index(self._experiment.results)
 
@@ -251,7 +251,7 @@ class Live:
         with self._lock:
             results, begin = self._present(), time.monotonic()
             if not self._page:
-                self._page = report_text(results, self._key, CURVES, self._kept)
+                self._page = report_text(results, self._key, CURVES, self._cache)
                 self._rest_since(begin)
             return self._page
 

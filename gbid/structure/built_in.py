@@ -161,8 +161,8 @@ class PiezoPair(Brief):
     ----------
     poles : {"real", "any"}
         ``"real"``: the poles p1 and p2 of the paper. An actuator whose damping factor is below one has complex poles;
-        its fit ends where p1 and p2 meet. ``"any"``: natural frequency omega [rad/s] and damping factor zeta describe
-        real and complex poles, ``kappa omega^2 / (s^2 + 2 zeta omega s + omega^2)``.
+        its fit ends where p1 and p2 are equal. ``"any"``: natural frequency omega [rad/s] and damping factor zeta
+        describe real and complex poles, ``kappa omega^2 / (s^2 + 2 zeta omega s + omega^2)``.
     disturbance_gain : {"none", "full"}
         ``"full"``: the disturbance d_a acts on the states of its own axis with gains to be estimated (Eq. 14).
         ``"none"``: it acts on the output only, as in the parameter list of Eq. 13.

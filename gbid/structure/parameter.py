@@ -94,7 +94,7 @@ class Values(dict[str, Any]):
         return cls({parameter.name: values[i] for i, parameter in enumerate(parameters)})
 
 
-def set_fields(made: Any, values: Mapping[str, Any]) -> None:
+def set_fields(instance: Any, values: Mapping[str, Any]) -> None:
     """Set fields of a frozen dataclass in its `__init__`, for example to convert lists to tuples.
 
     Raises
@@ -102,11 +102,11 @@ def set_fields(made: Any, values: Mapping[str, Any]) -> None:
     UsageError
         When it has parameters of which two have the same name.
     """
-    for each in fields(made):
-        object.__setattr__(made, each.name, values[each.name])
-    names = [parameter.name for parameter in made.parameters]
+    for each in fields(instance):
+        object.__setattr__(instance, each.name, values[each.name])
+    names = [parameter.name for parameter in instance.parameters]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise UsageError(f"structure {made.name!r}: parameter {min(twice)!r} is listed more than once")
+        raise UsageError(f"structure {instance.name!r}: parameter {min(twice)!r} is listed more than once")
 
 
 def as_vector(structure: Any, values: Mapping[str, float]) -> FloatArray:

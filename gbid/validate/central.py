@@ -154,8 +154,8 @@ class NominalActuator(Brief, Pictured):
 
     def figures(self) -> list[Figure]:
         """Return the figures of gains and poles of all models."""
-        words = f"Gains and poles of {len(self.models)} actuator models; the nominal one is {self.name}"
-        return [Figure("plot_actuator_parameters", f"{words}, {len(self.outliers)} values lie off", (self,))]
+        caption = f"Gains and poles of {len(self.models)} actuator models; the nominal one is {self.name}"
+        return [Figure("plot_actuator_parameters", f"{caption}, {len(self.outliers)} values lie off", (self,))]
 
 
 def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = None) -> NominalActuator:
@@ -314,12 +314,12 @@ def save_nominal_actuator(
     DataError
         When the file cannot be written.
     """
-    said = source or f"{nominal.name}, the most central of {len(nominal.models)} models"
+    origin = source or f"{nominal.name}, the most central of {len(nominal.models)} models"
     contents = {
         "kind": ACTUATORS_KIND,
         "schema_version": 1,
         "name": nominal.name,
-        "actuators": {**nominal.parameters, "source": said},
+        "actuators": {**nominal.parameters, "source": origin},
         "std": {name: value for name, value in nominal.std.items() if math.isfinite(value)},
         "chosen_from": len(nominal.models),
         "outliers": [{"model": o.model, "parameter": o.parameter, "reason": o.reason} for o in nominal.outliers],

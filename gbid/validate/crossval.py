@@ -233,8 +233,8 @@ class ValidationSummary(Brief, Pictured, hdf5.InFile):
     def figures(self) -> list[Figure]:
         """Return histograms of the fit percent; none for few pairs."""
         means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(self.output_names, self.mean, strict=True))
-        words = f"Histograms of the cross-validation fit, means {means}"
-        return [Figure("plot_fit_histogram", words, (self,))] if self.n_pairs >= _FEWEST_DRAWN else []
+        caption = f"Histograms of the cross-validation fit, means {means}"
+        return [Figure("plot_fit_histogram", caption, (self,))] if self.n_pairs >= _FEWEST_DRAWN else []
 
 
 def join_scores(pairs: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:

@@ -115,14 +115,14 @@ class ResidualTest(Brief, Pictured):
     @property
     def verdict(self) -> tuple[str, ...]:
         """Results of the tests as sentences."""
-        words = []
+        sentences = []
         for output, white, p, inputs in zip(self.output_names, self.white, self.p_white, self.follows, strict=True):
-            words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p:.2g})")
+            sentences.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p:.2g})")
             if inputs:
-                words.append(
+                sentences.append(
                     f"{output}: residuals still follow {', '.join(inputs)}: the structure leaves something out"
                 )
-        return tuple(words)
+        return tuple(sentences)
 
 
 def check_residuals(

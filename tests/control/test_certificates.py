@@ -38,7 +38,7 @@ def test_six_eigenvalues_that_meet_are_certified_by_their_mean() -> None:
     known = np.array([c5, c4 - 2, 15 * r**4 - 2 * (c4 - 2), 6 * r**5, r**6])
     certificate, _ = certify(problem, known, np.maximum(np.abs(known), 0.1))
     assert certificate.holds
-    assert certificate.meeting == (6,)
+    assert certificate.coalescing == (6,)
     o = 0.9 * r  # six eigenvalues at another place are no solution of the two masses
     elsewhere = np.array([6 * o, 15 * o**2 - 2, 15 * o**4 - 2 * (15 * o**2 - 2), 6 * o**5, o**6])
     assert not certify(problem, elsewhere, np.maximum(np.abs(elsewhere), 0.1))[0].holds
@@ -62,7 +62,7 @@ def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
     rise = near.score(np.array([0.03**2])).value / near.score(rest).value - 1
     certificate, x = certify(near, rest, np.ones(1))
     assert certificate.holds
-    assert certificate.meeting == (2,)
+    assert certificate.coalescing == (2,)
     assert x == pytest.approx(rest)
     assert 1e-4 < rise < certificate.room
     far, x = certify(parted(0.3), rest, np.ones(1))

@@ -93,8 +93,8 @@ def test_bad_files(tmp_path: Path) -> None:
     gbid.save_controller(path, "P", GAINS, overwrite=True, sample_time=2e-4)
     line = text.splitlines().index("  kappa_x:") + 2
     for old, new, message in (
-        ("value: 1.125", "value: 1.2", r"continuous C is not what the gains and the sampling give"),
-        ("method: tustin", "method: zoh", r"sampled \w is not what the gains and the sampling give"),
+        ("value: 1.125", "value: 1.2", r"continuous C differs from the value computed from gains and sampling"),
+        ("method: tustin", "method: zoh", r"sampled \w differs from the value computed from gains and sampling"),
         ("value: 1.125", "value: high", rf"p\.yaml:{line}:5: gains\.kappa_x\.value = 'high'"),
         ("kind: controller", "kind: lpv_model", r"p\.yaml:1:1: kind = 'lpv_model'"),
         ("order: 1", "ordre: 1", r"unknown option ordre; choose from"),
@@ -127,7 +127,7 @@ def test_gains_changed_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(design.models[None].C, expected.C)
     assert "changed after gbid wrote it" in design.notes[0]
     assert "computed from the gains" in design.notes[0]
-    assert "continuous C is not what the gains" in design.notes[1]
+    assert "continuous C differs from the value computed" in design.notes[1]
     ran = CliRunner().invoke(app, ["export", str(path), "--to", "c", "--output", str(tmp_path)])
     assert "gbid: note: " in ran.stderr
     gbid.save_controller(path, own(), {"low": 1.25, "high": -0.5}, overwrite=True, sample_time=2e-4)

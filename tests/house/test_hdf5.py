@@ -164,7 +164,7 @@ def test_a_file_without_checksum_is_refused_before_the_library_sees_it(tmp_path)
     path = tmp_path / "old.h5"
     with h5py.File(path, "w") as file:
         file.attrs.update({"gbid_kind": "thing", "schema_version": 1})
-    words = r"old\.h5: the checksum at its end is missing: .* gbid 0\.1\.0.*; make it again, import it, or"
+    words = r"old\.h5: the checksum at its end is missing: .* gbid 0\.1\.0.*; create it again, import it, or"
     with pytest.raises(DataError, match=words), hdf5.reading(path, THING):
         pass
 

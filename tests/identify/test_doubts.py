@@ -79,9 +79,9 @@ def test_errors_of_the_frequency_of_a_mode_in_short_records_are_said():
     assert len(may_cover_less([weak], [light], H, 1000)) == 1  # hardly a time of decay: nobody can tell
     for models in ([white], []):  # less than one time of decay: white residuals do not show what moves the mode
         (note,) = may_cover_less(models, [light], H, 1000)
-        assert "do not show whether disturbances move it" in note
+        assert "do not show whether disturbances excite it" in note
     (note,) = may_cover_less([], [light], H, 1000, gain=True)  # a gain tells both apart, but not in normal errors
-    assert "too short to tell its motion" in note
+    assert "too short to separate its motion" in note
     assert may_cover_less([narrow], [light], H, 5000, gain=True) == []
 
 

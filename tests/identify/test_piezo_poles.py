@@ -1,4 +1,4 @@
-"""Actuators with complex poles: where real poles meet, the fit says so and goes on; `poles="any"` describes them."""
+"""Actuators with complex poles: a fit with real poles notes that they coalesce; `poles="any"` describes them."""
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from gbid.structure import evaluate
 
 H = 5e-4
 OMEGA, KAPPA = (700.0, 900.0), 0.9
-MEET = ["p1_x and p2_x meet: complex poles may have a lower loss; fit PiezoPair(poles='any') [GB129]"]
+EQUAL = ["p1_x and p2_x are equal: complex poles may have a lower loss; fit PiezoPair(poles='any') [GB129]"]
 
 
 def moved(zeta, seed=0, n=4000):
@@ -42,7 +42,7 @@ def of_axis(result, names, axis):
 def test_poles_that_meet_are_equal_ones_with_standard_deviations(damping, seed):
     result = fit(PiezoPair(), moved((damping, 1.5), seed))
     assert result.success
-    assert [note for note in result.notes if "GB129" in note] == MEET
+    assert [note for note in result.notes if "GB129" in note] == EQUAL
     assert not any("GB101" in note or "GB102" in note or "GB103" in note for note in result.notes)
     poles, std = of_axis(result, ("p1", "p2"), "x")
     assert poles[0] == pytest.approx(poles[1], rel=1e-4)

@@ -181,7 +181,7 @@ class PerAxis(ABC):
                 raise UsageError(f"{where}: {name} = ({lower:g}, {upper:g}); give two numbers, lower first", name)
             object.__setattr__(self, name, (float(lower), float(upper)))
         if not self.axes or len(set(self.axes)) < len(self.axes):
-            raise UsageError(f"{where}: axes = {self.axes!r}; give each axis a name of its own", "axes")
+            raise UsageError(f"{where}: axes = {self.axes!r}; give each axis a different name", "axes")
         object.__setattr__(self, "axes", tuple(self.axes))
         if self.axes != AXES:
             object.__setattr__(self, "inputs", tuple(gain_name("p", axis) for axis in self.axes))

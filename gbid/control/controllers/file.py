@@ -298,7 +298,9 @@ def save_controller(
         raise UsageError(f"{path}: a controller file ends in .yaml")
     if isinstance(controller, Designed):
         if gains is not None:
-            raise UsageError("save_controller: gains beside a result, which has its own; give its structure with them")
+            raise UsageError(
+                "save_controller: a result contains its gains; to save other gains, give the structure in its place"
+            )
         design = controller.design(name=name, sample_time=sample_time, method=method, plant=plant)
         design = replace(design, provenance={**design.provenance, **(provenance or {})})
         points = points or [point for point in design.models if point is not None]
@@ -390,8 +392,8 @@ def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> Control
             raise UsageError(f"{differences[0]}; give its structure: load_controller(path, structure=...)")
         return replace(design, notes=(f"{design.notes[0]}; its matrices are used as they are stored",))
     models = {point: design.at(*(point or ())) for point in design.models}
-    words = f"{design.notes[0]}; its matrices are computed from the gains and the sampling in the file"
-    return replace(design, models=models, notes=(words, *differences[:1]))
+    note = f"{design.notes[0]}; its matrices are computed from the gains and the sampling in the file"
+    return replace(design, models=models, notes=(note, *differences[:1]))
 
 
 def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> ControllerFile:
@@ -453,8 +455,8 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
     except (TypeError, ValueError, ArithmeticError) as error:  # an option of another type
         if isinstance(error, UsageError):
             raise
-        words = f"the options of its structure {table.structure.kind!r} do not fit: {in_one_line(error)}"
-        raise UsageError(f"{words}; write them as save_controller does") from None
+        problem = f"the options of its structure {table.structure.kind!r} do not fit: {in_one_line(error)}"
+        raise UsageError(f"{problem}; write them as save_controller does") from None
     if table.schedule is None:
         return base
     schedule = table.schedule
@@ -474,5 +476,5 @@ def _difference(file: YamlFile, design: ControllerDesign, i: int, table: Control
             scale = float(np.abs(computed).max()) if computed.size else 0.0
             if matrix.shape != computed.shape or not np.allclose(matrix, computed, rtol=1e-9, atol=1e-9 * scale):
                 where = file.position(("models", i, what, letter))
-                return f"{where}: {what} {letter} is not what the gains and the sampling give"
+                return f"{where}: {what} {letter} differs from the value computed from gains and sampling"
     return ""

@@ -893,15 +893,15 @@ def _result(
     std = np.sqrt(np.diag(spread))
     doubles = sum(impact.pulses > 1 for each in impacts for impact in each)
     further = problem.oscillations
-    words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
+    names = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
     notes = []
     if not solved.converged:
         notes.append(ControlNote.SOLVER_STOPPED(f"the solver stopped: {solved.message}"))
     if doubles:
         text = f"{doubles} double hit(s); the free response is taken from the end of the last pulse"
         notes.append(ControlNote.DOUBLE_HIT(text))
-    if words:
-        text = f"the response rings in more than two modes; fitted beside them as decays at {words}"
+    if names:
+        text = f"the response rings in more than two modes; the further modes are fitted as decays at {names}"
         notes.append(ControlNote.FURTHER_MODES(text))
     if status is RingDownStatus.CONVERGED and (modes[1::2] <= _SURE * std[1::2]).any():
         status = RingDownStatus.NO_DECAY

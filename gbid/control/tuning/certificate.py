@@ -25,7 +25,7 @@ _CLOSE = 0.1
 _SEEDS = 8
 """Number of the worst functions around whose eigenvalues clusters are looked for."""
 _CORRECTIONS = 10
-"""Largest number of corrections of a move towards a meeting."""
+"""Largest number of corrections of a move towards a coalescence."""
 _MET = 1e-14
 """Largest power sum of eigenvalues that have met."""
 _PAIR_MET = 1e-11
@@ -35,11 +35,11 @@ _ROUNDED = 1e-12
 _PART = 0.1
 """Part of a move after which the power sums tell its error of second order."""
 _ALONE, _TOGETHER = 4, 3
-"""Number of clusters that are tried one by one, and largest number of clusters that meet in one step."""
+"""Number of clusters that are tried one by one, and largest number of clusters that coalesce in one step."""
 
 
 @dataclass(frozen=True)
-class Meeting:
+class Coalescence:
     """Cluster of eigenvalues of one loop that may coalesce: mean as a function of the gains, cluster and radius."""
 
     mean: ActiveFunction
@@ -56,7 +56,7 @@ class Meeting:
         same = (piece.family, piece.loop) == (self.mean.family, self.mean.loop)
         return same and abs(piece.place - self.mean.place) <= self.radius
 
-    def apart_from(self, other: Meeting) -> bool:
+    def apart_from(self, other: Coalescence) -> bool:
         """Return whether two clusters have no eigenvalue in common, conjugates included."""
         if (self.mean.family, self.mean.loop) != (other.mean.family, other.mean.loop):
             return True
@@ -73,7 +73,7 @@ class Meeting:
         return sums
 
 
-def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
+def coalescences(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Coalescence, ...]]:
     """Return groups of clusters that may coalesce at a better design: single clusters, and several at once.
 
     The clusters are for the objectives damping and decay of all modes: the mean of a cluster has no meaning for others.
@@ -91,8 +91,8 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
             places[key] = radius / max(abs(centre), 0.01 * problem.scale), centre, radius
     tightest = sorted(places, key=lambda key: places[key][0])
     largest = sorted(tightest[_ALONE:], key=lambda key: -key[2])[:1]
-    groups: list[tuple[Meeting, ...]] = []
-    joint: list[Meeting] = []
+    groups: list[tuple[Coalescence, ...]] = []
+    joint: list[Coalescence] = []
     for key in (*tightest[: 2 * _ALONE], *largest):
         alone = len(groups) < _ALONE or key in largest
         if not alone and len(joint) >= _TOGETHER:
@@ -103,7 +103,7 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
         if cluster is None or (cluster.real and damping):
             continue
         value, slope = problem.mean_of(f, cluster)
-        one = Meeting(ActiveFunction("cluster", f, loop, value, slope, cluster.mean, size), cluster, radius)
+        one = Coalescence(ActiveFunction("cluster", f, loop, value, slope, cluster.mean, size), cluster, radius)
         if alone:
             groups.append((one,))
         if len(joint) < _TOGETHER and all(one.apart_from(other) for other in joint):
@@ -150,8 +150,8 @@ def _middle(members: ComplexArray, real: bool) -> complex:
     return complex(middle.real) if real else middle
 
 
-def back_to_meeting(
-    problem: GainProblem, x: FloatArray, move: FloatArray, group: tuple[Meeting, ...], least: float = -np.inf
+def back_to_coalescence(
+    problem: GainProblem, x: FloatArray, move: FloatArray, group: tuple[Coalescence, ...], least: float = -np.inf
 ) -> FloatArray | None:
     """Return a step of the gains, corrected so that the clusters of a group coalesce at its end.
 
@@ -260,7 +260,7 @@ def _sums(
 # ---- Shortest combination of gradients: convex for the objective, conic for limits, bounds and coalescence.
 
 _NO_CHANGE = 1e-10
-"""Relative length of a gradient of a meeting that is rounding; its multiple would be without an end."""
+"""Relative length of a gradient of a coalescence that is rounding; its multiple would be without an end."""
 
 
 class GradientHull:
@@ -298,7 +298,7 @@ class GradientHull:
         enough = 0.5 * float(direction @ direction)
         return any(float(gradient @ direction) < enough for gradient in (*aims, *limits))
 
-    def add_meeting(self, worse: tuple[FloatArray, float], free: list[tuple[FloatArray, float]]) -> None:
+    def add_coalescence(self, worse: tuple[FloatArray, float], free: list[tuple[FloatArray, float]]) -> None:
         """Add a function that must not rise and functions that must not change, each with its tolerated change."""
         rows = [(-worse[0], worse[1]), *free, *((-row, spread) for row, spread in free)]
         lengths = [float(np.linalg.norm(gradient * self.unit)) for gradient, _ in rows]
@@ -354,15 +354,15 @@ class Certificate:
     radius : float
         Radius of the ball from which the gradients are, in units of the gains; 0: from the design itself.
     room : float
-        By which share of its value the objective could still rise within the ball, or by meetings of eigenvalues.
-    meeting : tuple of int
-        Numbers of eigenvalues that meet at the design or beside it, where their mean takes the place of each of them.
+        By which share of its value the objective could still rise within the ball, or by coalescences of eigenvalues.
+    coalescing : tuple of int
+        Numbers of eigenvalues that coalesce at the design or beside it. Their mean takes the place of each of them.
     """
 
     gain: float
     radius: float
     room: float
-    meeting: tuple[int, ...] = ()
+    coalescing: tuple[int, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -384,7 +384,7 @@ def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Cert
     of gradients a of the smallest functions of the objective and c of the limits, with the outward normals of bounds as
     :math:`\nu`. Two cases need more than the gradients at the design:
 
-    - Eigenvalues meet. Their gradients are unbounded. The gradient of their mean takes their place, together with
+    - Eigenvalues coalesce. Their gradients are unbounded. The gradient of their mean takes their place, together with
       multiples of the gradients of their power sums, which vary at a first-order change of the gains (J. V. Burke,
       A. S. Lewis, M. L. Overton, "Optimal stability and eigenvalue multiplicity", Foundations of Computational
       Mathematics 1, 2001). The objective is never above that of the mean. Where the eigenvalues are near each other but
@@ -440,7 +440,7 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
     if not here.aim and here.score.violation <= 0:  # no mode oscillates: the objective has its largest value
         return Certificate(0.0, 0.0, 0.0)
     value, best = max(abs(here.score.value), 1e-3), NO_CERTIFICATE
-    for group in [(), *meetings(problem, x, here)]:
+    for group in [(), *coalescences(problem, x, here)]:
         if not all(one.close for one in group):
             continue
         aims = [piece for piece in here.aim if not any(one.holds(piece) for one in group)]
@@ -459,7 +459,7 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
             hull = _bounds(problem, x, unit, near)
             hull.add(active)
             for one in group:
-                hull.add_meeting(*_spreads(one, problem))
+                hull.add_coalescence(*_spreads(one, problem))
             shortest, rise = hull.combination()
             gain = float(np.linalg.norm(shortest)) / value
             # on the way to a bound that is not quite reached the objective rises by at most what it would without it
@@ -474,7 +474,7 @@ _Spread = tuple[FloatArray, float]
 """Gradient of a power sum, and its largest change while the eigenvalues stay as near to each other."""
 
 
-def _spreads(one: Meeting, problem: GainProblem) -> tuple[_Spread, list[_Spread]]:
+def _spreads(one: Coalescence, problem: GainProblem) -> tuple[_Spread, list[_Spread]]:
     """Return the power sum whose rise lowers the objective, and all other power sums of the cluster."""
     slopes = one.cluster.powers_slope
     share = one.radius / max(abs(one.mean.place), 0.01 * problem.scale)

@@ -327,8 +327,8 @@ class OfModes:
             raise UsageError(
                 f"{type(self).__name__}: whirl = {self.whirl!r} of {len(plant.C)} outputs; x and y are needed"
             )
-        words = name if self.whirl == "both" else f"{name} ({self.whirl} whirl)"
-        return ModeMeasure(words, limit, quantity, self.low_hz, self.high_hz, self.whirl, weight)
+        label = name if self.whirl == "both" else f"{name} ({self.whirl} whirl)"
+        return ModeMeasure(label, limit, quantity, self.low_hz, self.high_hz, self.whirl, weight)
 
     @property
     def all_modes(self) -> bool:

@@ -33,7 +33,7 @@ static num over(num a, num b)
 static double square(num a) { return a.re * a.re + a.im * a.im; }
 
 /* Whether all of some numbers are finite, and powers of eigenvalues of matrices of them are, too. */
-static int fit(long count, const double *A)
+static int all_finite(long count, const double *A)
 {
     for (long i = 0; i < count; i++)
         if (!(fabs(A[i]) < 1e60)) return 0;
@@ -213,7 +213,7 @@ static void nearest(long n, const num *value, num place, double *distance, long 
 /* Eigenvalues (n) of m matrices. Returns 0 when those of one are not found. */
 long spectra(long m, long n, const double *A, num *value)
 {
-    long ended = fit(m * n * n, A);
+    long ended = all_finite(m * n * n, A);
     double *work = malloc((n * n + 4 * n) * sizeof(double));
     if (!work) return -1;
     for (long l = 0; l < m && ended; l++) {
@@ -451,7 +451,7 @@ static double length_of(long n, const num *v, long stride)
    those of a defective matrix are no longer than `longest`. Returns 0 when the eigenvalues of one are not found. */
 long eigensystems(long m, long n, const double *A, double longest, num *value, num *right, num *left)
 {
-    long ended = fit(m * n * n, A);
+    long ended = all_finite(m * n * n, A);
     num *T = malloc((3 * n * n + (n + 1) / 2 + 2 * n) * sizeof(num));
     if (!T) return -1;
     num *Z = T + n * n, *own = Z + n * n + (n + 1) / 2, *y = own + n, *X = y + n;

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gbid.control.tuning.certificate import Certificate, Meeting, back_to_meeting, meetings
+from gbid.control.tuning.certificate import Certificate, Coalescence, back_to_coalescence, coalescences
 from gbid.control.tuning.problem import (
     DIFFERENCE,
     PENALTY,
@@ -108,13 +108,13 @@ class RidgeStep:
     weights: tuple[tuple[ActiveFunction, float], ...]
     limit_weight: float
     keeps_limits: bool
-    group: tuple[Meeting, ...]
-    meeting_weights: FloatArray
+    group: tuple[Coalescence, ...]
+    coalescence_weights: FloatArray
 
 
 def ridge_step(
     functions: ActiveFunctions,
-    group: tuple[Meeting, ...],
+    group: tuple[Coalescence, ...],
     H: FloatArray,
     width: FloatArray,
     box: tuple[FloatArray, FloatArray],
@@ -126,8 +126,8 @@ def ridge_step(
     ----------
     functions : ActiveFunctions
         Score, and functions of objective and limits.
-    group : tuple of Meeting
-        Eigenvalues that nearly meet at the end of the step. Their means take their place in the objective.
+    group : tuple of Coalescence
+        Eigenvalues that nearly coalesce at the end of the step. Their means take their place in the objective.
     H : (d, d) array
         Curvature.
     width : (d,) array
@@ -180,7 +180,7 @@ def ridge_step(
     linear[d:] = -1.0, penalty
     if not aim:  # all modes are real: t has the largest possible value as its bound
         upper[d] = (1.0 - now) / size + 1.0
-    # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
+    # gradients of eigenvalues that nearly coalesce are very large; rows of equal length keep the programme well scaled
     length = np.maximum(np.abs(rows).max(axis=1), 1.0)
     rows, low, high = rows / length[:, None], low / length, high / length
     programme, diagonal, added = quadratic_programme(d + 2, len(rows)), np.arange(d + 2), 0.0
@@ -209,7 +209,7 @@ def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Seq
     """
     signed = [(piece, -weight if piece.kind == "aim" else weight) for piece, weight in step.weights]
     H, width = problem.curvature(x, states, signed), problem.upper - problem.lower
-    begin = _slopes_of_meetings(problem, x, step, states) if step.group else None
+    begin = _coalescence_slopes(problem, x, step, states) if step.group else None
     if begin is None or not np.isfinite(begin[1]).all():
         return _convex(H)
     rows = begin[1] * width
@@ -219,7 +219,7 @@ def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Seq
     for change, direction in zip(changes, along, strict=True):
         end = x + DIFFERENCE * direction
         h = DIFFERENCE if ((problem.lower <= end) & (end <= problem.upper)).all() else -DIFFERENCE
-        slopes = _slopes_of_meetings(problem, x + h * direction, step)
+        slopes = _coalescence_slopes(problem, x + h * direction, step)
         if slopes is None:
             return _convex(H)
         change[:] = (slopes[0] - begin[0]) / h
@@ -227,20 +227,20 @@ def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Seq
     return along.T @ _convex(reduced) @ along if np.isfinite(reduced).all() else _convex(H)
 
 
-def _slopes_of_meetings(
+def _coalescence_slopes(
     problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState] = ()
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the gradient of the weighted means and power sums of a step's clusters, and of each power sum."""
     states, slope, rows = states or problem.states(x), np.zeros_like(x), []
-    for meeting in step.group:
-        mean = meeting.mean
+    for coalescence in step.group:
+        mean = coalescence.mean
         cluster = problem.cluster(states, mean.family, mean.loop, mean.place, mean.size)
-        if cluster is None or cluster.real != meeting.cluster.real:
+        if cluster is None or cluster.real != coalescence.cluster.real:
             return None
         weight = sum(weight for piece, weight in step.weights if piece is mean)
         slope = slope - weight * problem.mean_of(mean.family, cluster)[1]
-        rows += [row for _, row in replace(meeting, cluster=cluster).rows]
-    return slope + step.meeting_weights @ np.array(rows), np.array(rows)
+        rows += [row for _, row in replace(coalescence, cluster=cluster).rows]
+    return slope + step.coalescence_weights @ np.array(rows), np.array(rows)
 
 
 def _convex(H: FloatArray) -> FloatArray:
@@ -338,9 +338,9 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
               f_j + g_j d \ge t,\;\; c_k + a_k d \le s,\;\; s \ge 0
 
     over all functions f (damping factors) of the objective and c of the limits near the worst. H is the curvature of
-    the functions that were active in the step before. Where two eigenvalues a, b meet, their gradients are unbounded.
-    There a second step is computed with their mean and with ``((a - b)/2)^2 = 0`` as a constraint, because both are
-    smooth (at the optimum the two coalesce: Burke, Lewis, Overton, 2001). The better step is taken.
+    the functions that were active in the step before. Where two eigenvalues a, b coalesce, their gradients have no
+    bound. There a second step is computed with their mean and with ``((a - b)/2)^2 = 0`` as a constraint, because both
+    are smooth (coalescence at the optimum: Burke, Lewis, Overton, 2001). The better step is taken.
 
     Parameters
     ----------
@@ -358,7 +358,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
     x, width = np.clip(start, problem.lower, problem.upper), problem.upper - problem.lower
     H = np.zeros((len(x), len(x)))
     functions = problem.functions(x)
-    groups: list[tuple[Meeting, ...]] | None = None
+    groups: list[tuple[Coalescence, ...]] | None = None
     known, converged, radius, penalty = None, False, options.radius, options.penalty
     stalled, before = 0, merit(functions.score)
     for iteration in range(1, options.iterations + 1):
@@ -374,8 +374,8 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
             improvement = merit(problem.score(x + first.move, floor), penalty) - floor
         steps: list[RidgeStep] = []
         if not options.plain and (first is None or improvement < 0.5 * first.gain or first.gain <= options.least_gain):
-            groups = meetings(problem, x, functions) if groups is None else groups
-            # steps at whose ends eigenvalues nearly meet, the most promising first
+            groups = coalescences(problem, x, functions) if groups is None else groups
+            # steps at whose ends eigenvalues nearly coalesce, the most promising first
             possible = [ridge_step(functions, group, H, width, box, penalty) for group in groups]
             steps = sorted((step for step in possible if step), key=lambda step: -step.gain)
         for step in steps:
@@ -383,7 +383,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
             if step.gain <= improvement:
                 continue
             least = floor + max(improvement, 0.0) - options.coalescence_loss
-            move = back_to_meeting(problem, x, step.move, step.group, least)
+            move = back_to_coalescence(problem, x, step.move, step.group, least)
             if move is None:
                 continue
             gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor

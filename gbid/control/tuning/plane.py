@@ -27,7 +27,7 @@ from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, IntArray
 _FASTEST = 40.0
 """Largest decay of a mode in one sample, as an exponent; a dead-beat mode (z = 0) is given this rate."""
 FADE = 0.25
-"""Width of the fading in `brevity`, in units of the decay rate times the sample time."""
+"""Width of the fading in `fast_mode_weight`, in units of the decay rate times the sample time."""
 
 
 def true_rates(values: ComplexArray, sample_time: float | None) -> ComplexArray:
@@ -73,7 +73,7 @@ def searched_frequencies(frequency: FloatArray, sample_time: float | None) -> Fl
     return np.asarray(2 / sample_time * np.tan(frequency * sample_time / 2))
 
 
-def brevity(rates: ComplexArray, sample_time: float | None) -> FloatArray:
+def fast_mode_weight(rates: ComplexArray, sample_time: float | None) -> FloatArray:
     """Weight of fast modes: 0 for modes that last longer than a sample, rising to 1 below 0.8 of a sample.
 
     Modes that last shorter than a sample do not count in `gbid.control.smallest_damping`, because they do not oscillate
@@ -111,13 +111,13 @@ def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> Fl
     rates : complex array
         Eigenvalues in continuous time [rad/s].
     sample_time : float, optional
-        Sample time of a sampled loop [s], in which modes shorter than a sample fade out, see `brevity`.
+        Sample time of a sampled loop [s], in which modes shorter than a sample fade out, see `fast_mode_weight`.
     """
     magnitude = np.maximum(np.abs(rates), 1e-300)
     factors = np.where(np.abs(rates.imag) > REAL * magnitude, -rates.real / magnitude, 1.0)
     if sample_time is None:
         return factors
-    return np.asarray(factors + (1.0 - factors) * brevity(rates, sample_time))
+    return np.asarray(factors + (1.0 - factors) * fast_mode_weight(rates, sample_time))
 
 
 def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
@@ -127,7 +127,7 @@ def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float
     by_gains = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
     if sample_time is None:
         return np.asarray(by_gains)
-    short = brevity(rates, sample_time)[:, None]
+    short = fast_mode_weight(rates, sample_time)[:, None]
     fading = np.where((short > 0) & (short < 1), -slopes.real * sample_time / FADE, 0.0)
     return np.asarray((1 - short) * by_gains + (1 - damping_factors(rates)[:, None]) * fading)
 
@@ -167,7 +167,7 @@ class Eigensystem:
     """Eigenvalues (m, n) and eigenvectors of matrices; NaN if they are not finite.
 
     The eigenvalues of a defective matrix stay as they are: a change of the matrix by rounding errors would move k
-    eigenvalues that meet by the k-th root of these.
+    eigenvalues that coalesce by the k-th root of these.
 
     Attributes
     ----------
@@ -251,7 +251,7 @@ class Cluster:
     mean_slope : (d,) array
         Its derivatives.
     powers : (k - 1,) array
-        Power sums ``sum_i ((lambda_i - mean) / rate)^j / k`` for j = 2 ... k; all are zero where the k meet.
+        Power sums ``sum_i ((lambda_i - mean) / rate)^j / k`` for j = 2 ... k; all are zero where the k coalesce.
     powers_slope : (k - 1, d) array
         Their derivatives.
     """

@@ -1,8 +1,8 @@
 """Design problem as smooth functions of the gains: the damping of each eigenvalue, each peak, and their derivatives.
 
 The objective is the smallest of many functions of the gains, and each limit concerns the largest of many. Each function
-is smooth where eigenvalues do not meet. A local method that uses all functions near the worst one can follow the edges
-between them.
+is smooth where eigenvalues do not coalesce. A local method that uses all functions near the worst one can follow the
+edges between them.
 """
 
 from __future__ import annotations

@@ -54,32 +54,32 @@ class SearchOptions:
     seed : int
         Seed of the random starts and moves.
     evaluations : int, optional
-        Number of designs after which the search ends, about.
+        Approximate number of designs after which the search ends.
     finalists : int
         Number of the best designs that are fully optimised.
     short : int
         Iterations of a short local search: from each start, then again from the better two thirds. The nodes of a grid
         need none, because the grid shows how good they are. Where only eigenvalues count it is a full one.
     full : int
-        Iterations of the full ones.
+        Iterations of a full local search.
     hops : int
-        Largest number of random moves of a design, each with a new local search: basin-hopping steps, for more than
-        three gains. They are needed because a local search may stop early where eigenvalues meet.
+        Largest number of basin-hopping steps from a design: random moves, each followed by a local search. For more
+        than three gains, because a local search may stop early where eigenvalues coalesce.
     patience : int
-        Number of moves in vain, one after the other, that end them. One move of six leaves a lower local optimum. Half
+        Number of failed basin-hopping steps in a row that end them. One step of six leaves a lower local optimum. Half
         as many are enough where only eigenvalues count.
     returned : int
-        Number of moves back to the same optimum that end them.
+        Number of basin-hopping steps back to the same optimum that end them.
     hop_sizes : tuple of float
-        Sizes of the moves in turn, as shares of the bounds; the way out of a basin may be a few %.
+        Sizes of the basin-hopping steps in turn, as shares of the bounds; a basin may be a few % wide.
     free_hop_sizes : tuple of float
         Sizes where only eigenvalues count, in units or shares of the gains.
     hop_radius : float
-        Trust region after a move, as a share of the bounds.
+        Trust region of the local search after a basin-hopping step, as a share of the bounds.
     sketch : bool
         Whether several different designs are wanted, as starts for similar loops: each finalist is moved a few times.
     sketch_hops : int
-        Number of these moves.
+        Number of basin-hopping steps of each finalist with `sketch`.
     nodes : int
         Number of points of a grid from which a search begins.
     pace : float
@@ -90,7 +90,7 @@ class SearchOptions:
         Distance of designs, as a share of the bounds, within which they belong to one optimum; and of a gain from a
         bound at which a further local search begins.
     least_rise : float
-        Relative rise of a random move below which it counts as in vain.
+        Relative rise below which a basin-hopping step counts as failed.
     different : float
         Relative difference of values from which on designs count as different optima.
     same, agreeing : float
@@ -162,7 +162,7 @@ def on_grid(n_gains: int, options: SearchOptions) -> bool:
 class LocalSearch:
     """Local search of a problem: SQP over all active functions.
 
-    Where nothing but eigenvalues counts, more of them meet, and the way along the surface on which they stay together
+    Where nothing but eigenvalues counts, more of them coalesce, and the way along the surface on which they coalesce
     is longer. An evaluation then takes less time, and every start has a full local search.
 
     Parameters
@@ -199,7 +199,7 @@ class LocalSearch:
 
     def full(self, start: FloatArray, target: float = -np.inf, known: tuple[LocalOptimum, ...] = ()) -> LocalOptimum:
         """Return a local optimum, or the known optimum to which the search leads back; stop early below a target."""
-        if self.free:  # eigenvalues that have met creep along a curved surface; no target tells how far
+        if self.free:  # coalesced eigenvalues creep along a curved surface; no target tells how far
             return self._stable_end(start, start, LocalOptions(iterations=2 * self.options.full))
         effort = LocalOptions(iterations=self.options.full, target=target, pace=self.options.pace, known=known)
         return self._stable_end(start, start, replace(effort, near=self.options.neighbours * self.unit))
@@ -281,10 +281,10 @@ def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator
 
 def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, note: Note) -> LocalOptimum:
     """Basin-hopping steps from one design, until several steps in a row fail or return to known optima."""
-    options, vain, returned = local.options, 0, 0
+    options, failed_steps, returned = local.options, 0, 0
     sizes = options.free_hop_sizes if local.free else options.hop_sizes
     for i in range(options.hops):
-        if vain >= options.patience or returned >= options.returned or local.problem.evaluations.exhausted:
+        if failed_steps >= options.patience or returned >= options.returned or local.problem.evaluations.exhausted:
             break
         size = sizes[i % len(sizes)]
         again = local.hop(best, size, rng)
@@ -292,9 +292,9 @@ def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, n
         progress = again.score.value - best.score.value > options.least_rise * abs(best.score.value)
         repaired = again.score.violation <= FEASIBLE < best.score.violation
         if improved and (progress or repaired):
-            vain = returned = 0
+            failed_steps = returned = 0
         else:
-            vain += 1
+            failed_steps += 1
             returned += _same(again.score, best.score, options.same) and size > sizes[0] and not local.free
         best = again if improved else best
         note("basin hopping", best)

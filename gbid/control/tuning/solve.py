@@ -421,10 +421,10 @@ def maximise_damping(
     -----
     A global stage finds regions of attraction of local optima, from starts that are first made stable. Local
     optimisation takes steps that use all eigenvalues near the worst one (see `gbid.control.tuning.local`). Eigenvalues
-    that meet are represented by their mean and by power sums of their distances, because these have derivatives there
-    and the eigenvalues have not. The result is a
-    ``"local optimum"`` only when a convex combination of gradients certifies it, otherwise ``"stalled"``. With up to
-    three gains, whose search begins with a grid over the whole box, it is ``"optimal"``.
+    that coalesce are represented by their mean and by power sums of their distances, because these have derivatives
+    there and the eigenvalues have not. The result is a ``"local optimum"`` only when a convex combination of
+    gradients certifies it, otherwise ``"stalled"``. With up to three gains, whose search begins with a grid over
+    the whole box, it is ``"optimal"``.
 
     Examples
     --------
@@ -442,7 +442,7 @@ def maximise_damping(
     if not functions or not names:
         raise UsageError("maximise_damping: give at least one function and one gain")
     if len(set(names)) < len(names):
-        raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
+        raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each gain a different name")
     low, high = as_bounds(options.lower, options.upper, names)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
@@ -551,7 +551,7 @@ def summarise(
         text = (
             "no certificate of optimality: to first order the objective would rise by "
             f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
-            "steps to meeting eigenvalues, random moves and gradients from balls around it found no better one"
+            "steps to coalescing eigenvalues, random moves and gradients from balls around it found no better one"
         )
         notes = (*notes, ControlNote.NO_CERTIFICATE(text))
     reached = problem.in_units(score.value) if stable else worst.value(problem.limits.objective)

@@ -118,14 +118,14 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
     try:
         dataset = h5py.h5d.open(group.id, name.encode())  # half the time of ``group[name]``
     except (KeyError, ValueError):
-        words = "is a group, not a dataset" if name in group else "is missing"
-        raise DamagedError(f"{where(group, name)} {words}") from None
+        problem = "is a group, not a dataset" if name in group else "is missing"
+        raise DamagedError(f"{where(group, name)} {problem}") from None
     shape, kind = dataset.shape, dataset.dtype
     if shape is None:
         raise DamagedError(f"{where(group, name)} holds nothing, not {'texts' if texts else 'numbers'}")
     size = prod(shape) * kind.itemsize
-    made = dataset.get_create_plist()
-    if made.get_external_count() or made.get_layout() == h5py.h5d.VIRTUAL:
+    created_with = dataset.get_create_plist()
+    if created_with.get_external_count() or created_with.get_layout() == h5py.h5d.VIRTUAL:
         raise DamagedError(f"{where(group, name)} takes its data from another file, which gbid never writes")
     if size > _ROOM and size > _ROOM + _EXPANSION * dataset.get_storage_size():
         raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
@@ -202,8 +202,8 @@ def read_group(group: h5py.Group, name: str) -> h5py.Group:
     try:
         return h5py.Group(h5py.h5g.open(group.id, name.encode()))  # a third of the time of ``group[name]``
     except (KeyError, ValueError):
-        words = "a dataset" if name in group else "missing"
-        raise DamagedError(f"group {where(group, name)} is {words}") from None
+        problem = "a dataset" if name in group else "missing"
+        raise DamagedError(f"group {where(group, name)} is {problem}") from None
 
 
 def where(group: h5py.HLObject, name: str) -> str:
@@ -358,18 +358,18 @@ def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
     except DamagedError as error:
         raise DataError(f"{path}: {error}; {kind.remedy}") from None
     except (OSError, RuntimeError) as error:  # h5py raises either for a damaged file
-        words = one_line(str(error))  # an error of input or output has three
-        raise DataError(f"{path}: not a readable HDF5 file (truncated or of another format): {words}") from None
+        problem = one_line(str(error))  # an error of input or output has three
+        raise DataError(f"{path}: not a readable HDF5 file (truncated or of another format): {problem}") from None
     except KeyError as error:
-        words = str(error.args[0] if error.args else error)
-        raise DataError(f"{path}: incomplete {kind.name} file: {words}; {kind.remedy}") from None
+        problem = str(error.args[0] if error.args else error)
+        raise DataError(f"{path}: incomplete {kind.name} file: {problem}; {kind.remedy}") from None
     except GbidError as error:
         if str(path) in str(error):
             raise
         raise DataError(f"{path}: damaged {kind.name} file: {error}; {kind.remedy}") from None
     except (TypeError, ValueError) as error:
-        words = f"damaged {kind.name} file, its entries do not fit together ({error})"
-        raise DataError(f"{path}: {words}; {kind.remedy}") from None
+        problem = f"damaged {kind.name} file, its entries do not fit together ({error})"
+        raise DataError(f"{path}: {problem}; {kind.remedy}") from None
     except Exception as error:  # what the library or a value raises on an entry that gbid does not write
         with library_errors(path, kind.remedy):
             raise error from None
@@ -392,7 +392,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
                 raise OSError("it does not begin as HDF5 does")
         raise DataError(
             f"{path}: the checksum at its end is missing: it is truncated, changed by another program, of another "
-            "program, or of gbid 0.1.0; make it again, import it, or take a copy of it from a backup"
+            "program, or of gbid 0.1.0; create it again, import it, or restore it from a backup"
         )
     with h5py.File(path, "r") as file:
         link = file.id.links.visit(_outside, info=True)

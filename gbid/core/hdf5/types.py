@@ -161,8 +161,8 @@ class Leaf:
             array = array.reshape((*array.shape, *(0,) * (len(self.shape) - array.ndim)))
         context.check(array.shape, self.shape, lambda: where(group, name))
         if self.is_dataset:
-            unit, words = self.stored.unit, self.stored.long_name or name.replace("_", " ")
-            add_dataset(group, name, array, context.units.get(unit, unit), words, self.kind != "U")
+            unit, long_name = self.stored.unit, self.stored.long_name or name.replace("_", " ")
+            add_dataset(group, name, array, context.units.get(unit, unit), long_name, self.kind != "U")
             return
         path, attribute = attribute_of(name)
         item = group if path == "." else group.require_group(path)
@@ -212,13 +212,13 @@ class Codec(Protocol):
 class DataclassGroup:
     """Codec of a dataclass, stored as a group."""
 
-    made: type
+    kind: type
     fields: tuple[tuple[str, str, Codec], ...]  # name, place, codec
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
         """Write the value to a new group."""
-        if not isinstance(value, self.made):
-            raise TypeError(f"{name}: {value!r} is no {self.made.__name__}")
+        if not isinstance(value, self.kind):
+            raise TypeError(f"{name}: {value!r} is no {self.kind.__name__}")
         self.put(group.create_group(name), value, Context(context.units))
 
     def put(self, group: h5py.Group, value: Any, context: Context) -> None:
@@ -232,7 +232,7 @@ class DataclassGroup:
 
     def get(self, group: h5py.Group, given: Mapping[str, Any], context: Context) -> Any:
         """Return the dataclass from the fields of a group; `given` are values of fields that are not stored."""
-        return self.made(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
+        return self.kind(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ class Inline:
 class Columns:
     """Codec of a tuple of dataclasses of numbers, texts and arrays: a group with a column for each field."""
 
-    made: type
+    kind: type
     fields: tuple[tuple[str, Leaf], ...]
 
     def write(self, group: h5py.Group, name: str, value: Iterable[Any], context: Context) -> None:
@@ -270,7 +270,7 @@ class Columns:
         context.lengths.pop("rows", None)
         columns = ([leaf.build(value) for value in leaf.get(table, key, context)] for key, leaf in self.fields)
         names = [key for key, _ in self.fields]
-        return tuple(self.made(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True))
+        return tuple(self.kind(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -393,7 +393,7 @@ _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b", str: "U"}
 _LINES = tuple[tuple[str, ...], ...]
 
 
-def _record(made: Any) -> DataclassGroup:
+def _record(kind: Any) -> DataclassGroup:
     """Return the codec of a dataclass or named tuple, from the annotations of its fields.
 
     Raises
@@ -401,8 +401,8 @@ def _record(made: Any) -> DataclassGroup:
     TypeError
         When a field has a type that cannot be stored.
     """
-    names = [field.name for field in fields(made)] if is_dataclass(made) else list(getattr(made, "_fields"))  # noqa: B009
-    hints = get_type_hints(made, include_extras=True)
+    names = [field.name for field in fields(kind)] if is_dataclass(kind) else list(getattr(kind, "_fields"))  # noqa: B009
+    hints = get_type_hints(kind, include_extras=True)
     codecs = []
     for name in names:
         hint, *marks = get_args(hints[name]) if get_origin(hints[name]) is Annotated else (hints[name],)
@@ -411,8 +411,8 @@ def _record(made: Any) -> DataclassGroup:
             try:
                 codecs.append((name, (stored and stored.at) or name, _codec(hint, stored)))
             except TypeError as error:
-                raise TypeError(f"{made.__name__}.{name}: {error}") from None
-    return DataclassGroup(made, tuple(codecs))
+                raise TypeError(f"{kind.__name__}.{name}: {error}") from None
+    return DataclassGroup(kind, tuple(codecs))
 
 
 record: Callable[[Any], DataclassGroup] = cache(_record)
@@ -450,7 +450,7 @@ def _columns(rows: DataclassGroup) -> Codec:
         if not isinstance(leaf, Leaf) or leaf.shape is None or (leaf.shape and leaf.kind == "U"):
             return Numbered(rows, named=False)
         columns.append((name, replace(leaf, shape=("rows", *leaf.shape), is_dataset=leaf.kind != "U")))
-    return Columns(rows.made, tuple(columns))
+    return Columns(rows.kind, tuple(columns))
 
 
 def _mapping(hint: Any, to: Any, stored: Stored | None) -> Codec:

@@ -415,10 +415,10 @@ def _failed_pairs(job: Job, pairs: FitPairs, rows: Sequence[CrossvalRow]) -> dic
     return {pair: failure.text if failure else unknown for pair, failure in failures.items()}
 
 
-def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
+def _summary_work(job: Job, outcomes: Sequence[Outcome]) -> Work:
     """Return failed outcomes of pairs without rows, and the tasks of the summaries."""
     work: list[Task | Outcome] = []
-    for outcome in made:
+    for outcome in outcomes:
         name = outcome.item.section
         if outcome.state == "failed":
             continue

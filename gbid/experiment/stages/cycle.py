@@ -324,13 +324,13 @@ def round_job(job: Job, number: int) -> Job:
     return replace(job, experiment=round_experiment(job.experiment, number))
 
 
-def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
+def _next(step: Step, number: int, job: Job, outcomes: Sequence[Outcome]) -> Work:
     """Return the work of a step of a round; empty after a failure, because later steps need the failed result."""
     rounds = needed(job.experiment.spec.cycle, "cycle").rounds
-    if number > rounds or any(outcome.state == "failed" for outcome in made):
+    if number > rounds or any(outcome.state == "failed" for outcome in outcomes):
         return []
-    done = {outcome.path for outcome in made}
-    return [_in_round(number, work) for work in step(round_job(job, number), made) if work.path not in done]
+    done = {outcome.path for outcome in outcomes}
+    return [_in_round(number, work) for work in step(round_job(job, number), outcomes) if work.path not in done]
 
 
 def _in_round(number: int, work: Task | Outcome) -> Task | Outcome:
@@ -358,8 +358,8 @@ def first_tasks(job: Job) -> Work:
         return [Outcome(Item("cycle impact", "round0"), path, "failed", str(error), cause=cause_of(error))]
 
 
-def _table_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    return [] if any(outcome.state == "failed" for outcome in made) else [table_task(job)]
+def _table_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
+    return [] if any(outcome.state == "failed" for outcome in outcomes) else [table_task(job)]
 
 
 def table_task(job: Job) -> Task:

@@ -260,9 +260,9 @@ def _read_study(path: Path) -> Made:
 _TABLES = ("impacts", "responses")
 
 
-def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+def _csv_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     """Return the tasks of the tables of all studies."""
-    names = [o.item.section for o in made if o.item.stage == "ringdown" and o.state != "failed"]
+    names = [o.item.section for o in outcomes if o.item.stage == "ringdown" and o.state != "failed"]
     if not names:
         return []
     studies = [task for task in study_tasks(job) if task.item.section in names]

@@ -124,11 +124,11 @@ def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> No
     DataError
         Its text names the other recording.
     """
-    mine = _content(experiment, planned)
+    content = _content(experiment, planned)
     for other in experiment.recordings.values():
         if other.name == planned.name:
             return
-        if other.imported is not None and _content(experiment, other) == mine:
+        if other.imported is not None and _content(experiment, other) == content:
             text = f"recording {planned.name!r} holds the same samples as {other.name!r}"
             raise DataError(f"{text}; leave one of them out, or correct its file")
 
@@ -156,8 +156,8 @@ def _write_import(job: Job, part: Path, name: str) -> Made:
     planned = job.experiment.recordings[name]
     recording = read_import(job.experiment, planned)
     save_made(recording, planned, part)
-    said = (recording.provenance.get(key, "") for key in ("source_rows", "import_remarks"))
-    return Made("; ".join(filter(None, said)))
+    remarks = (recording.provenance.get(key, "") for key in ("source_rows", "import_remarks"))
+    return Made("; ".join(filter(None, remarks)))
 
 
 IMPORT = Stage("import", "import", (data_can_be_read,), import_tasks, early=True)

@@ -128,8 +128,8 @@ def cost_tables(rows: Sequence[LoopCostRow]) -> Iterator[Table]:
         first, *_ = here = list(group)
         up_to = partial(_peak_words, first)
         notes = [
-            f"{words}: {count} fits, recordings of {length:g} s, {peak}"
-            for words, count, length, peak in (
+            f"{heading}: {count} fits, recordings of {length:g} s, {peak}"
+            for heading, count, length, peak in (
                 ("in the loop", first.recordings, first.duration_s, up_to(first.peak)),
                 ("without", first.recordings_beside, first.duration_beside_s, up_to(first.peak_beside)),
             )

@@ -202,19 +202,19 @@ def lpv_tasks(job: Job) -> Work:
         return [Outcome(Item("lpv", fit, form=UNCERTAINTY), path, "failed", str(error), cause=cause_of(error))]
 
 
-def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
+def model_task(suffix: str, job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     """Return the task of a model file; it follows the uncertainty task and has the content key of the surfaces."""
     item = f"{needed(job.experiment.spec.lpv, 'lpv').fit}{suffix}"
     source = job.path(FOLDER, item)
-    if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
+    if not any(outcome.path == source and outcome.state != "failed" for outcome in outcomes):
         return []
     file = Result(Item("lpv", item), source.with_suffix(".yaml"), stored_key(source))
     return [Task.of(file, partial(_write_model, source=source), read=_read_status)]
 
 
-def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+def _direct_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     section = needed(job.experiment.spec.lpv, "lpv")
-    if not section.direct or any(outcome.state == "failed" for outcome in made):
+    if not section.direct or any(outcome.state == "failed" for outcome in outcomes):
         return []
     return [_uncertainty_task(job, f"{section.fit}{DIRECT}")]
 

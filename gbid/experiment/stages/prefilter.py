@@ -73,10 +73,10 @@ def prefilter_tasks(job: Job) -> list[Task]:
     return recording_tasks(job, prefiltered_result, _write_prefiltered, lambda planned: planned.excited)
 
 
-def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+def map_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     """Return the tasks that store maps and reports, one per operating point, after the prefilter tasks."""
     experiment, section = job.experiment, needed(job.experiment.spec.prefilter, "prefilter")
-    failed = {outcome.item.section for outcome in made if outcome.state == "failed"}
+    failed = {outcome.item.section for outcome in outcomes if outcome.state == "failed"}
     tasks = []
     for label, excited in _by_map(experiment).items():
         filtered = [planned for planned in excited if planned.name not in failed]
@@ -121,8 +121,8 @@ def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
 
 def fit_input(experiment: Experiment, planned: PlannedRecording) -> Result:
     """Return the result file of a recording as the fits use it: prefiltered if there is a prefilter."""
-    made = recording_result if experiment.spec.prefilter is None else prefiltered_result
-    return made(experiment, planned)
+    result_of = recording_result if experiment.spec.prefilter is None else prefiltered_result
+    return result_of(experiment, planned)
 
 
 def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
@@ -198,8 +198,8 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
         if section.align_index and still:
             rec = align_index(identified_map(still[:1], section)[0], rec).apply(rec)
         still.append(rec)
-    runout_map, words = identified_map(still, section)
-    return replace(runout_map, notes=(*runout_map.notes, *words, *leftover_words(runout_map, still)))
+    runout_map, notes = identified_map(still, section)
+    return replace(runout_map, notes=(*runout_map.notes, *notes, *leftover_words(runout_map, still)))
 
 
 def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:

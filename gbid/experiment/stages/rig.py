@@ -63,8 +63,8 @@ def rig_runs(experiment: Experiment) -> Found:
             yield from refusal(("rig", *location), partial(whole_samples, location[-1], seconds, rig.sample_time_s))
     if outside or list(effects_are_known(experiment)):
         return  # the machine cannot be made
-    made = [planned for planned in experiment.recordings.values() if planned.imported is None]
-    alike = {(q.run, tuple(q.conditions.items()), q.in_loop): q for q in made}  # what the check looks at
+    simulated = [planned for planned in experiment.recordings.values() if planned.imported is None]
+    alike = {(q.run, tuple(q.conditions.items()), q.in_loop): q for q in simulated}  # what the check looks at
     refused = [
         problem for planned in alike.values() for problem in refusal(("rig",), partial(_check_run, experiment, planned))
     ]
@@ -253,12 +253,14 @@ def running(
     controller = loop_controller_of(experiment, planned)
     check_loop_stable(experiment, planned, controller.sampled)
     if section.runout == "online":
-        made = loop_of(experiment, controller, run)
-        if isinstance(made, ProgramController) or not planned.conditions["speed_rpm"]:
-            return made  # a program has a map of its own, and at rest the position does not follow the angle
+        controller_of_loop = loop_of(experiment, controller, run)
+        if isinstance(controller_of_loop, ProgramController) or not planned.conditions["speed_rpm"]:
+            return (
+                controller_of_loop  # a program has a map of its own, and at rest the position does not follow the angle
+            )
         runout_map = _map_at_rest(experiment, planned.point)
         nodes: FloatArray = np.asarray(np.arange(_BINS) * (2 * np.pi / _BINS), np.float64)
-        return replace(made, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
+        return replace(controller_of_loop, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
     A, B, C, D = (np.array(getattr(controller.sampled, letter)) for letter in "ABCD")
     name = controller.sampled.name
     return SampledController(A, B, C, D, rig.sample_time_s, offset=run.machine.sensors.offset_p_m, name=name)

@@ -82,9 +82,9 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
     return load(path, StaticMap)
 
 
-def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+def _csv_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     tasks = []
-    for name in (outcome.item.section for outcome in made if outcome.state != "failed"):
+    for name in (outcome.item.section for outcome in outcomes if outcome.state != "failed"):
         item, source = Item("static", name, form="{} (csv)"), static_result(job.experiment, name)
         result = job.experiment.result(item, FOLDER, {}, [source], ending=".csv")
         tasks.append(Task.of(result, partial(_write_csv, name=name)))

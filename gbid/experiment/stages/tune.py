@@ -181,9 +181,9 @@ def design_task(result: Result) -> Task:
     return Task.of(result, partial(_write_design, name=result.item.section), read=_read_design_summary)
 
 
-def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+def controller_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
     """Return the tasks of the controller files of tuned designs; each file has the content key of its design."""
-    done = {outcome.path for outcome in made if outcome.state != "failed"}
+    done = {outcome.path for outcome in outcomes if outcome.state != "failed"}
     tasks = []
     for name in job.experiment.spec.controller:
         design = job.path(TUNED, name)
@@ -385,13 +385,15 @@ def assess_published(
     """
     from gbid.control.assessment import DesignFigures
 
-    came = published_design(experiment, section)
-    if came is None:
+    published = published_design(experiment, section)
+    if published is None:
         return None
     options = assess_options(experiment, section or ControllerSection())
-    gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
+    gains = {"kappa_x": published.kappa_x, "kappa_y": published.kappa_y}
     points = model.operating_points if points is None else points
-    return DesignFigures.of(control.assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
+    return DesignFigures.of(
+        control.assess(model, published_structure(published), gains, points, name=PUBLISHED, **options)
+    )
 
 
 def _made(design: TunedDesign) -> Made:

@@ -314,7 +314,7 @@ class KernelPattern(NamedTuple):
 
     def union(self, other: KernelPattern) -> KernelPattern:
         """Union of two patterns."""
-        return KernelPattern(*(mine | theirs for mine, theirs in zip(self, other, strict=True)))
+        return KernelPattern(*(first | second for first, second in zip(self, other, strict=True)))
 
     def live(self, i: int) -> BoolArray:
         """Return which states can depend on parameter `i`, for a start that does not, (n,)."""

@@ -393,8 +393,8 @@ def assemble(
     scopes: dict[str, Scope] = {**local, **dict.fromkeys((term.name for term in disturbances.terms), "recording")}
     if unknown := [name for name in scopes if name not in [q.name for q in first.free]]:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
-    if strangers := [name for name in left_out if name not in [record.name for record in data.records]]:
-        raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
+    if unknown_records := [name for name in left_out if name not in [record.name for record in data.records]]:
+        raise UsageError(f"left_out names recordings that are not fitted: {', '.join(unknown_records)}")
     if scopes or left_out or ties is not None:
         _check_names(data)
     own = [q for q in first.free if ties is None or q.name not in ties.names]
@@ -449,7 +449,7 @@ def _check_names(data: FitData) -> None:
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(
             f"several recordings are named {twice[0]!r}; local parameters, trends, hum and left_out identify "
-            "recordings by name, so give each its own"
+            "recordings by name, so give each recording a different name"
         )
 
 

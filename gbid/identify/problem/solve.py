@@ -838,8 +838,10 @@ def _interruptible() -> Iterator[Interrupt]:
     Nothing changes where Ctrl-C is ignored already, as in a worker process, which its runner stops.
     """
     interrupt = Interrupt()
-    heard = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
-    if not heard:
+    handles_interrupt = (
+        threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+    )
+    if not handles_interrupt:
         yield interrupt
         return
 
