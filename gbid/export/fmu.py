@@ -261,7 +261,7 @@ def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) 
     """Return the matrices of a scheduled controller by the trapezoidal rule, symbolic in pressure and speed."""
     if design.method != "tustin":
         raise UsageError(
-            f"controller {design.name!r}: a unit discretises scheduled gains by 'tustin', not by {design.method!r}; "
+            f"controller {design.name!r}: an FMU discretises scheduled gains by 'tustin', not by {design.method!r}; "
             "store the design with method='tustin'"
         )
     followed, gains = tuple(map(Parameter, structure.domain.variables)), Values(design.gains)

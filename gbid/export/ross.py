@@ -314,7 +314,7 @@ def lateral_matrices(
         if max(coupling) > 1e-9 * np.abs(matrix).max():
             raise UsageError(
                 "the rotor's lateral motion is coupled with its torsion or with motion along the shaft, as by gears; "
-                "give each shaft as a ross.Rotor of its own"
+                "give each shaft as a separate ross.Rotor"
             )
     return LateralMatrices(
         mass[lateral], damping[lateral], stiffness[lateral], tuple(unknown), len(_LATERAL[rotor.number_dof])
@@ -335,7 +335,7 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
     """Return the unknown bearing elements, keyed by the ending of their parameter names."""
     elements = list(rotor.bearing_elements)
     if not elements:
-        raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
+        raise UsageError("the rotor has no bearings; add bearings; their coefficients are the start values")
     choices = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
     if bearings is None:
         named: dict[str, int | str] = {_as_name(e.tag): e.tag for e in elements if e.n_link is None}

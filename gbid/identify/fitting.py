@@ -191,7 +191,7 @@ def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Measur
         raise UsageError(
             f"fitted again from its estimates, {', '.join(result.recordings)} have the loss {again.loss:.6g}, and the "
             f"result {result.loss:.6g}: give the recordings and the structure of the fit; extra_cost and constraints "
-            "are not stored: for a fit with them take its own result"
+            "are not stored: for such a fit use the result before it was stored"
         )
     return again
 

@@ -289,7 +289,7 @@ class FrequencyData(ChannelCurves, Pictured):
         if driven := [each for each in as_names(inputs) if each.replace(".", "_") in self.output_names]:
             raise DataError(
                 f"{driven[0]!r} is an output of the frequency response {self.name!r} to {', '.join(self.input_names)}; "
-                "say with reference what excites this loop"
+                "name the excitation of this loop (reference=...)"
             )
         rows, columns = (
             _places(names, as_names(wanted), self.name)

@@ -119,7 +119,7 @@ class ResponseResiduals(NamedTuple):
     p_value : (n_y,) array
         Probability of larger errors with the stated standard deviations.
     follow : bool
-        Whether the errors of neighbouring frequencies follow each other: the structure leaves something out.
+        Whether the errors of neighbouring frequencies follow each other: the structure is incomplete.
     loss : float
         Mean square of the errors, with the weight of correlated neighbours.
     log_likelihood : float
@@ -159,7 +159,7 @@ class ResponseResiduals(NamedTuple):
         """Note on residuals that are larger than the standard deviations state."""
         p = f"the standard deviations of the responses say (probability {float(self.p_value.min()):.1g})"
         if self.follow:
-            what = "the structure leaves something out: errors of neighbouring frequencies follow each other"
+            what = "the structure is incomplete: errors of neighbouring frequencies follow each other"
             return (FitNote.LEFT_OUT(f"{what}, and are larger than {p}"),)
         return (FitNote.NOT_WHITE(f"errors are larger than {p}: the estimates have the robust standard deviations"),)
 

@@ -268,7 +268,7 @@ class FitUncertainty(Brief):
         Covariance for white residuals, and for coloured residuals.
     trusted : {"white", "robust", "none"}
         Covariance that the whiteness test of the residuals selects; the robust one in a fit that is no estimate.
-        "none" where residuals follow an input: the structure leaves something out, and no covariance contains that.
+        "none" where residuals follow an input: the structure is incomplete, and no covariance contains that.
     modes_std : (n_modes, 2) array
         Standard deviations of ``model.modes()``: natural frequency [Hz] and damping factor.
     static_gain_std : (n_outputs, n_inputs) array

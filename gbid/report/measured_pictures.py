@@ -288,7 +288,9 @@ def plot_recording(
     names = list(signals) or list(recording.signals)
     shown = (recording.time >= from_s) & (recording.time <= (recording.duration if to_s is None else to_s))
     if not shown.any():
-        raise UsageError(f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in there")
+        raise UsageError(
+            f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in this range"
+        )
     figure, axes = panels(ax, len(names), 1, size=(TWO_COLUMNS, 0.6 + 1.2 * len(names)), sharex=True)
     time = recording.time[shown]
     for panel, name in zip(axes, names, strict=True):

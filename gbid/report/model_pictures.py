@@ -585,7 +585,9 @@ def orbit_data(
     last = recording.n_samples if to_s is None else round(to_s / recording.sample_time)
     xy = values[first:last]
     if not 0 <= first < last or len(xy) < 2:
-        raise UsageError(f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in there")
+        raise UsageError(
+            f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in this range"
+        )
     xy = xy - xy.mean(0)
     mean = np.zeros((0, 2))
     if angle in recording.signals:

@@ -257,7 +257,7 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
         try:
             outcome = standing(job, task)
             if outcome is None:
-                missing[task.item.section] = f"{task.item.stage} {task.item} not there; run `{verb}` or `gbid run`"
+                missing[task.item.section] = f"{task.item.stage} {task.item} is missing; run `{verb}` or `gbid run`"
             elif outcome.state == "failed":
                 missing[task.item.section] = f"{task.item.stage} {task.item} failed: {outcome.text}"
             else:

@@ -85,7 +85,7 @@ class PiezoStack:
         check_options(self, "piezo stack")
         if self.spring <= 0:
             raise UsageError(
-                f"piezo stack: hysteresis = {self.hysteresis * 1e6:g} um is too much for a stroke of "
+                f"piezo stack: hysteresis = {self.hysteresis * 1e6:g} um is too large for a stroke of "
                 f"{self.stroke * 1e6:g} um; it must stay below half of it"
             )
 

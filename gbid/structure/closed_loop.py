@@ -195,7 +195,7 @@ class ClosedLoop(Brief):
         set_fields(self, {**locals(), **chosen})
         late_law = isinstance(controller, LinearModel) and controller.delay is not None
         if pade_order is None and (late_law or (m.has_delay and self.sample_time is None)):
-            raise UsageError(f"{where}: exact delays are for those of the plant, with a sampled controller")
+            raise UsageError(f"{where}: exact delays of the plant need a sampled controller")
         if not np.isfinite(self._longest_delay):
             raise UsageError(f"{where}: exact delays in a loop need upper bounds; give them, or pade_order")
         symbols = Values.of(self.parameters, ca.vertcat(*(ca.SX.sym(q.name) for q in self.parameters)))

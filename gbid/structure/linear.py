@@ -105,7 +105,7 @@ class HeldFeedback(NamedTuple):
             )
         if "foh" in holds:
             raise UsageError(
-                f"{name}: intersample = 'foh'; what is injected is held like the output of the controller: 'zoh'"
+                f"{name}: intersample = 'foh'; the injected signal is held like the output of the controller; use 'zoh'"
             )
 
     def close(

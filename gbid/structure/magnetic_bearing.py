@@ -79,7 +79,7 @@ class RigidRotor(Brief):
         check_options(self, self.name)
         if len(self.axes) not in _PLANES:
             choices = ", ".join(f"{n} ({what})" for n, what in _PLANES.items())
-            raise UsageError(f"{self.name}: {len(self.axes)} axes; there are rotors with {choices}")
+            raise UsageError(f"{self.name}: {len(self.axes)} axes; choose from {choices}")
         tilts = (self.inertia_kg_m2, self.arms_m)
         if len(self.axes) == 4 and (None in tilts or not self.inertia_kg_m2 or self.inertia_kg_m2 < 0):
             raise UsageError(f"{self.name}: four axes need inertia_kg_m2 and arms_m = (z_a, z_b)")

@@ -119,9 +119,7 @@ class ResidualTest(Brief, Pictured):
         for output, white, p, inputs in zip(self.output_names, self.white, self.p_white, self.follows, strict=True):
             sentences.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p:.2g})")
             if inputs:
-                sentences.append(
-                    f"{output}: residuals still follow {', '.join(inputs)}: the structure leaves something out"
-                )
+                sentences.append(f"{output}: residuals still follow {', '.join(inputs)}: the structure is incomplete")
         return tuple(sentences)
 
 

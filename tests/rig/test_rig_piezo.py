@@ -233,7 +233,7 @@ def test_unequal_stacks_are_seeded():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: replace(STACK, hysteresis=30e-6), "hysteresis = 30 um is too much for a stroke of 45 um"),
+        (lambda: replace(STACK, hysteresis=30e-6), "hysteresis = 30 um is too large for a stroke of 45 um"),
         (lambda: replace(STACK, fast_pole=0.0), "fast_pole = 0.0; give a number above 0"),
         (lambda: replace(STACK, creep=-0.1), "creep = -0.1"),
         (lambda: PiezoStacks((STACK,) * 3), "3 stacks; give four"),

@@ -200,7 +200,7 @@ fits:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: gbid.structure.RigidRotor(axes=("a", "b", "c")), "3 axes; there are rotors with 1"),
+        (lambda: gbid.structure.RigidRotor(axes=("a", "b", "c")), "3 axes; choose from 1"),
         (lambda: gbid.structure.RigidRotor(axes=AXES[4]), "four axes need inertia_kg_m2 and arms_m"),
         (lambda: gbid.structure.RigidRotor(arms_m=(0.1, -0.1)), "are for four axes; there are 1"),
         (lambda: gbid.structure.RigidRotor(mass_kg=0.0), "mass_kg = 0.0; give a positive number"),
@@ -219,7 +219,7 @@ def test_wrong_options_are_one_line(make, words):
 
 def test_exact_delays_in_a_loop_need_a_sampled_controller_and_bounds():
     continuous = gbid.LinearModel([[-1e3]], [[1e3]], [[-2e4]], [[0.0]])
-    with pytest.raises(UsageError, match="exact delays are for those of the plant, with a sampled controller"):
+    with pytest.raises(UsageError, match="exact delays of the plant need a sampled controller"):
         gbid.ClosedLoop(bearing(1), continuous, pade_order=None)
     free = gbid.LinearStructure(
         "late",

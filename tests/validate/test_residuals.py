@@ -118,7 +118,7 @@ def test_a_delay_that_is_left_out_shows_at_its_lags():
     assert wrong.p_independent[0, 0] < 1e-6
     assert not [word for word in right.verdict if "follow" in word]
     assert wrong.outside[0, 0] > 0.1
-    assert any("y: residuals still follow u: the structure leaves something out" in word for word in wrong.verdict)
+    assert any("y: residuals still follow u: the structure is incomplete" in word for word in wrong.verdict)
     # With the true values at once: what is missing is h(t - 3) - h(t), most at the lags of the delay.
     held_model = at_once.changed(model=evaluate(LAG, {**truth, "k": 0.0}, ("u",), ("y",)))
     known = check_residuals(held_model, rec, lags=30)
@@ -183,7 +183,7 @@ def test_several_inputs_and_outputs_have_their_names():
     assert tests.cross_band.shape == tests.outside.shape == (2, 2)
     assert tests.outside[1, 0] > 0.1
     assert tests.outside[0].max() < 0.3
-    assert "y_2: residuals still follow u_x: the structure leaves something out" in tests.verdict
+    assert "y_2: residuals still follow u_x: the structure is incomplete" in tests.verdict
     assert not any("y_1" in word and "follow" in word for word in tests.verdict)
     assert tests.follows == ((), ("u_x",))
     assert tests.white.tolist() == [True, False]

@@ -219,7 +219,10 @@ class PerAxis(ABC):
                 "gain_sets",
             )
         if self.coupling != "none" and not self.has_common_poles:
-            raise UsageError(f"{where}: coupling is not possible, because all its gains move its poles", "coupling")
+            raise UsageError(
+                f"{where}: coupling is not possible for this structure, because each of its gains changes its poles",
+                "coupling",
+            )
         if self.coupling == "gyroscopic" and n % 2:
             raise UsageError(f"{where}: gyroscopic coupling of {n} axes; give as many in each direction", "coupling")
 

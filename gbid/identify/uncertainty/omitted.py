@@ -100,7 +100,7 @@ def _alternatives(task: FitTask, structure: Structure) -> Iterator[Alternative]:
         T = samples * h
         what = f"a lag with a time constant of {T:.3g} s, as of an amplifier or a sensor,"
         yield what, partial(_filtered, task, samples, 1), 0.0
-        what = f"a low-pass filter of second order at {1 / (2 * np.pi * T):.3g} Hz, as against aliasing,"
+        what = f"a low-pass filter of second order at {1 / (2 * np.pi * T):.3g} Hz, such as an anti-aliasing filter,"
         yield what, partial(_filtered, task, samples, 2), 0.0
     of_u, of_y = (_sizes(data, side) for side in ("inputs", "outputs"))
     for i, output in enumerate(data.output_names):
