@@ -609,8 +609,8 @@ def early_design(experiment: Experiment, name: str) -> Result:
     section = experiment.spec.controller[name]
     if surfaces_item(experiment, section) is not None:
         raise UsageError(
-            f"design {name!r} needs the surfaces of this experiment, which are fitted after its recordings; name a model "
-            "in the section of the design (model: ...), or name a controller file"
+            f"design {name!r} needs the surfaces of this experiment, which are fitted after its recordings; name a "
+            "model in the section of the design (model: ...), or name a controller file"
         )
     if goal_recordings(experiment, section):
         raise UsageError(f"design {name!r} has goals with recordings of this experiment; name a controller file")

@@ -589,8 +589,8 @@ def no_minimum(judged: Judged) -> Iterator[str]:
     """Yield a note on a point where the criterion is flat or falls in some direction."""
     if judged.of_noise.flatness < FLATTEST:
         yield FitNote.NO_MINIMUM(
-            "the result is not a minimum of the criterion, or the minimum is flat in some direction: standard deviations "
-            "use the Gauss-Newton curvature, and are too small; try other start values (fit_multistart)"
+            "the result is not a minimum of the criterion, or the minimum is flat in some direction: standard "
+            "deviations use the Gauss-Newton curvature, and are too small; try other start values (fit_multistart)"
         )
 
 
