@@ -478,7 +478,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
         if _conditions(other) != _conditions(first):
             raise UsageError(
                 f"compare_designs: {other.name!r} and {first.name!r} were assessed at other points, with other impacts "
-                "or another sampling; assess them alike"
+                "or another sampling; assess both with the same options"
             )
     worst = [{name: value for name, (value, _) in assessment.worst.items()} for assessment in assessments]
     shown = {name: figure for name, figure in FIGURES.items() if any(not isnan(row[name]) for row in worst)}
@@ -678,7 +678,9 @@ _OF_RESULT = (
     *("value", "objective", "status", "success", "violation", "verified_on"),
     *("peak_sensitivity", "peak_control", "static_amplification"),
 )
-_EXCESS = "excess: logarithm of the value over its limit, of damping factors the limit minus the value; met at most 0"
+_EXCESS = (
+    "excess: logarithm of value over limit (damping factors: limit minus value); at most 0 where the limit is kept"
+)
 
 
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:

@@ -158,7 +158,7 @@ def _factor_of(word: str) -> _Unit:
     """Return a unit by name, with an SI prefix where the unit allows prefixes."""
     word = word.replace("µ", "u").replace("μ", "u").replace("Ω", "Ohm")
     if word in _SEVERAL:
-        raise _AmbiguousError(f"it may be {' or '.join(_SEVERAL[word])}: write the one that is meant")
+        raise _AmbiguousError(f"the unit may be {' or '.join(_SEVERAL[word])}: write the intended one")
     exact = _PREFIXED.get(word) or _EXACT.get(word)
     if exact is None and word[:1] in _PREFIXES and word[1:] in _PREFIXED and word not in _WORDS:
         base = _PREFIXED[word[1:]]
@@ -188,7 +188,7 @@ def _parsed(text: str) -> _Unit:
         return _factor_of(text.replace(" ", ""))  # some have signs of the grammar: r.p.m., 1/min
     above, slash, below = text.partition("/")
     if "/" in below:
-        raise ValueError("more than one '/': write the units below it in brackets")
+        raise ValueError("more than one '/': write the divisors in brackets")
     above, below = above.strip(), below.strip()
     if below.startswith("(") and below.endswith(")"):
         below = below[1:-1]

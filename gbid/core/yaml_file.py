@@ -97,7 +97,7 @@ def read_yaml(path: Path) -> YamlFile:
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: not a text file in UTF-8: {error.reason}; save it as UTF-8") from None
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}; give a file that can") from None
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}; give a readable file") from None
     try:
         tree = _kept_tree(text) if len(text) < _KEPT else _tree(text)
     except MarkedYAMLError as error:

@@ -258,7 +258,8 @@ def sample_time(experiment: Experiment, section: ControllerSection | ControllerC
         return float(stated)
     if experiment.spec.rig is None:
         raise UsageError(
-            "sample_time_s: no rig says the sample time of the target; give it in seconds", "sample_time_s"
+            "sample_time_s: without a section rig the sample time of the target is unknown; give it in seconds",
+            "sample_time_s",
         )
     return experiment.spec.rig.sample_time_s
 

@@ -748,7 +748,7 @@ def _part(options: DraftOptions, recordings: Sequence[Recording]) -> tuple[dict[
             f"{shortest.name}: no part of all files has a constant speed ({words} of "
             f"{shortest.duration:g} s); give --from-s and --to-s, or leave out the files with a run-up"
         )
-    note = f"the speed changes in {len(changes)} of {len(recordings)} files, so of all files is used {words}"
+    note = f"the speed changes in {len(changes)} of {len(recordings)} files; of all files this part is used: {words}"
     return part, [note] if part else []
 
 

@@ -120,7 +120,7 @@ def _disks() -> Iterator[Finding]:
         if not os.access(folder, os.W_OK):
             remedy = "cannot be written; results can go elsewhere with --results"
         elif free < _LITTLE:
-            remedy = "little room; `gbid check` says how much an experiment needs"
+            remedy = "little free space; `gbid check` says how much an experiment needs"
         text = f"{folder.resolve()}: {file_size(free)} free"
         yield Finding(what, Verdict.NOTE if remedy else Verdict.GOOD, text, remedy)
 

@@ -356,7 +356,7 @@ def controllers_too_slow(experiment: Experiment) -> Iterator[str]:
         if step * fastest >= 0.5:
             yield (
                 f"controller {name}: sample_time_s = {step:g} s, but the machine has a mode at {fastest:.4g} Hz: at "
-                f"most {0.5 / fastest:.2g} s can act on it, better a tenth of that"
+                f"most {0.5 / fastest:.2g} s is needed to control it, better a tenth of that"
             )
 
 

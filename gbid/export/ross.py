@@ -508,7 +508,7 @@ class RotorStructure(LinearStructure):
             return ()
         worst = max(off, key=lambda mode: abs(mode.error))
         text = (
-            f"{len(off)} of {len(self.reduction)} modes of the reduced rotor differ from the whole one by more than "
+            f"{len(off)} of {len(self.reduction)} modes of the reduced rotor differ from the full rotor by more than "
             f"{100 * _REDUCED_WELL:g} % in frequency; the worst has {worst.frequency_hz:.4g} Hz and damping "
             f"{worst.damping:.3g} in place of {worst.whole_frequency_hz:.4g} Hz and {worst.whole_damping:.3g}"
         )

@@ -598,7 +598,7 @@ def not_used(judged: Judged) -> Iterator[str]:
     """Yield notes on parameters without effect for the focus, on downweighted outliers, and on the assembly."""
     optimum, assembly = judged.optimum, judged.optimum.problem.assembly
     if assembly.unused:
-        yield FitNote.NOT_USED(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}")
+        yield FitNote.NOT_USED(f"not used in simulation focus, set to 0: {', '.join(assembly.unused)}")
         held = [name for name in assembly.unused if optimum.problem.begin[name] != 0]
         if held:
             yield FitNote.NOT_USED(f"their start values were not used: {', '.join(held)}")
@@ -825,7 +825,9 @@ def before_the_optimum(judged: Judged) -> Iterator[str]:
     yield from (*optimum.notes, *task.begin.notes, *task.states.notes)
     if optimum.solution.overflows:
         count = optimum.solution.overflows
-        yield FitNote.OVERFLOWS(f"the model overflows at {count} of the points that the solver tried; it stepped back")
+        yield FitNote.OVERFLOWS(
+            f"the model overflows at {count} of the points that the solver tried; the solver stepped back"
+        )
 
 
 def integration(judged: Judged) -> Iterator[str]:

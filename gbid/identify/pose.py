@@ -640,7 +640,7 @@ def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, fir
 # criterion is lower already, the fit begins again.
 
 FOUND = FitNote.OTHER_MINIMUM(
-    "the criterion has several minima along the disturbance gain: this is the lowest of those met"
+    "the criterion has several minima along the disturbance gain: this result is the lowest one found"
 )
 SUSPECTED = FitNote.OTHER_MINIMUM(
     "the criterion has several minima along the disturbance gain: another start did not converge to a lower one, but "

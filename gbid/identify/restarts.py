@@ -203,7 +203,7 @@ def _best_attempt(task: FitTask) -> Attempt:
     if first and first.result.success and not first.held and (start := data_start(task)) is not None:
         other = ladder.in_turn(start, windows)
         if other and other.result.success:
-            text = "the fit began at values from the data, which led lower than those stated"
+            text = "the fit began at values from the data, which led to a lower loss than the given ones"
             return _lowest([first, other.noted(FitNote.BEGUN_ELSEWHERE(text))])
     if (start := observer_start(task)) is not None:
         other, unstable = ladder.in_turn(start, windows), ""

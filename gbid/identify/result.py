@@ -65,8 +65,8 @@ class FitStatus(StrEnum):
         "(fit_multistart)"
     )
     WINDOWS_DISAGREE = (
-        "not converged: fits in windows of other lengths end elsewhere, and the residuals of the best are strongly "
-        "correlated; try other start values (fit_multistart)"
+        "not converged: fits in windows of other lengths end at other minima, and the residuals of the best are "
+        "strongly correlated; try other start values (fit_multistart)"
     )
     NOT_DETERMINED = (
         "not determined: a free parameter has no standard deviation; fix or bound the parameters that the notes name"

@@ -206,7 +206,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         for outlier in self.outliers[:_SHOWN_OUTLIERS]:
             yield f"off the surface: {outlier.recording}, {outlier.parameter}, {outlier.standardised:+.1f} std"
         if len(self.outliers) > _SHOWN_OUTLIERS:
-            yield f"off the surface: {len(self.outliers)} in all; these were the worst"
+            yield f"off the surface: {len(self.outliers)} estimates in all; the largest are above"
         yield from (f"left out: {text}" for text in self.estimates.left_out)
         yield from (f"note: {note}" for note in self.notes)
 

@@ -351,7 +351,7 @@ def prefilter(
         if any(counts):
             steps.append(f"{sum(counts)} spikes of {position} replaced")
     elif any(counts) and median == 1:
-        text = f"{sum(counts)} spikes of {position} were found and left; spikes: true replaces them"
+        text = f"{sum(counts)} spikes of {position} were found and not replaced; spikes: true replaces them"
         notes.append(DataNote.SPIKES_LEFT(text))
     offsets = {name: values.mean(axis=0) * remove_mean for name, values in after.items()}
     if remove_mean:

@@ -497,7 +497,7 @@ def times_of(
     if stated is None and unit != "s":
         text = f"its times are those of dates, read in {unit} (the first is {column.values[0]:.15g})"
     elif stated is None and not _SHORTEST_STEP <= step <= _LONGEST_STEP:
-        text = f"it is read in s: a sample time of {step:g} s; give time_unit if that is wrong"
+        text = f"the times are read in seconds: a sample time of {step:g} s; give time_unit if that is wrong"
     return time, (f"{what} has no unit; {text}",) if text else ()
 
 

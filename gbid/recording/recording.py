@@ -576,7 +576,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
                 if missing[0] or missing[-1]:
                     at = "first" if missing[0] else "last"
                     raise DataError(
-                        f"recording {self.name!r}: the {at} sample of signal {name!r} is missing; cut there"
+                        f"recording {self.name!r}: the {at} sample of signal {name!r} is missing; cut it off there"
                     )
                 column[missing] = np.interp(time[missing], time[~missing], column[~missing])
             signals[name] = values

@@ -216,7 +216,7 @@ def test_kinds_that_signals_do_not_show_are_given_by_words(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "words", "flags"),
     [
-        (("phi [deg]", "phi [grad]"), "may be deg or gon: write the one that is meant (--unit phi=...)", ("phi=deg",)),
+        (("phi [deg]", "phi [grad]"), "may be deg or gon: write the intended one (--unit phi=...)", ("phi=deg",)),
         (("phi [deg]\n", "phi [deg]\n0;1;2\n"), "is the file truncated", None),
         (("t [s];r_x", "0;0;r_x"), "name it with --header-line (--header-line 0 numbers", None),
         (("p_x [um]", "p_x [V]"), "--calibration 'X=0:0 10:125 um'", ("um", "--calibration", "p_x=0:0 1:1 um")),

@@ -88,7 +88,7 @@ def test_designs_side_by_side(paper: object) -> None:
     assert len(lines) == 3
     assert len({len(line) for line in lines}) == 1
     elsewhere = gbid.assess(MACHINE, "P", GAINS, [(6, 0)])
-    with pytest.raises(UsageError, match="assess them alike"):
+    with pytest.raises(UsageError, match="assess both with the same options"):
         gbid.compare_designs([paper, elsewhere])  # type: ignore[list-item]
     with pytest.raises(UsageError, match="no designs"):
         gbid.compare_designs([])

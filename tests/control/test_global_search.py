@@ -79,7 +79,7 @@ def test_independent_seeds_are_tried_and_the_words_say_how_many() -> None:
     grid = gbid.tune(MODEL, **options)
     assert (grid.seed_values, grid.optimality) == (
         (),
-        "local optimum, certified; searched from a grid over the whole box",
+        "local optimum, certified; searched from a grid over all bounds",
     )
     one = gbid.tune(MODEL, starts=1, **options)
     assert one.optimality == "local optimum, certified; one search, other seeds were not tried"

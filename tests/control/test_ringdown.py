@@ -183,7 +183,7 @@ def test_double_hits_are_told() -> None:
     [
         (lambda r: r.with_signals(f=0 * r.signal("f") + 0.01), "no impact in the force"),  # all zero: a free decay
         (lambda r: r.with_signals(f=0 * r.signal("f")), "rises suddenly after 0.09 s, so this is no free decay"),
-        (lambda r: r.slice(505, 3000), "cut off by its end"),
+        (lambda r: r.slice(505, 3000), "cut off at the end"),
         (lambda r: r.slice(0, 520), "samples after the impact"),
         (lambda r: gbid.Recording({"p": r.signal("p")[:, :1], "f": r.signal("f")}, H), "a ring-down needs two"),
         (lambda r: gbid.Recording({"p": r.signal("p")}, H, name="bare"), "has no signal 'f'"),

@@ -159,7 +159,7 @@ def test_no_start_value_is_needed():
 
 
 def test_a_parameter_of_a_state_that_is_given_is_refused():
-    with pytest.raises(DataError, match=r"begins at the state of which angle is a parameter; fix each \(fixed="):
+    with pytest.raises(DataError, match=r"no recording starts from the state with angle; fix each of these \(fixed="):
         fit(PENDULUM, decay(0), initial_state="estimated")
     with pytest.raises(DataError, match="angle"):
         fit(PENDULUM, decay(0), initial_state=["estimated", "structure"])

@@ -275,7 +275,7 @@ def test_the_structure_says_how_good_its_reduction_is():
     worst = max(fast.reduction, key=lambda mode: abs(mode.error))
     assert abs(worst.error) > 0.02
     assert len(fast.notes) == 1
-    assert "1 of 3 modes of the reduced rotor differ from the whole one by more than 1 %" in fast.notes[0]
+    assert "1 of 3 modes of the reduced rotor differ from the full rotor by more than 1 %" in fast.notes[0]
     assert f"the worst has {worst.frequency_hz:.4g} Hz" in fast.notes[0]
     assert fast.notes[0].endswith("[GB141]")
 

@@ -65,7 +65,10 @@ def test_spikes_that_are_left_are_reported_and_noted(runout):
     clean, spiked = rig(2), rig(2, spikes_per_s=5.0)
     filtered, report = prefilter(spiked, runout, spikes=False)
     assert report.spike_samples == wrong_samples(clean, spiked)
-    assert f"{sum(report.spikes)} spikes of p were found and left; spikes: true replaces them [GB203]" in report.notes
+    assert (
+        f"{sum(report.spikes)} spikes of p were found and not replaced; spikes: true replaces them [GB203]"
+        in report.notes
+    )
     np.testing.assert_allclose(np.abs(filtered.signal("p")[report.spike_samples[0], 0]), 20e-6, atol=10e-6)
     by_median, report = prefilter(spiked, runout, spikes=False, median=3)  # the paper's way takes them out
     assert report.notes == ()

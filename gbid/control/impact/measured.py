@@ -140,7 +140,9 @@ def _impact(force: FloatArray, size: FloatArray, above: IntArray, noise: float, 
     while last < len(size) - 1 and size[last] > quiet:
         last += 1
     if size[first] > quiet or size[last] > quiet:
-        raise DataError(f"recording {name!r}: the impact at sample {int(above[0])} is cut off by its end; leave it out")
+        raise DataError(
+            f"recording {name!r}: the impact at sample {int(above[0])} is cut off at the end; leave the impact out"
+        )
     top = first + int(size[first : last + 1].argmax())
     angle = degrees(atan2(float(force[top, 1]), float(force[top, 0])))
     return MeasuredImpact(first, last, float(size[top]), angle, 1 + int((np.diff(above) > 1).sum()))

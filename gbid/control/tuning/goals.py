@@ -448,7 +448,7 @@ class FastestPole(OfModes, Wanted):
 
 def _only_one(limits: Limits) -> None:
     if limits.weight < inf:
-        raise UsageError("goals: MaxDamping and MaxDecay of all modes exclude each other and come once")
+        raise UsageError("goals: give either MaxDamping or MaxDecay of all modes, and only once")
 
 
 # ---- Disturbance of the position: the spectrum that a recording shows, and lines such as unbalance.

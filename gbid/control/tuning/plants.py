@@ -155,7 +155,7 @@ def root_of(covariance: FloatArray) -> FloatArray:
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     if values[0] < -1e-6 * max(values[-1], 1.0):
-        raise UsageError("uncertainty: the covariance has a negative direction; it is no covariance")
+        raise UsageError("uncertainty: the covariance has a negative eigenvalue; give a positive semidefinite one")
     return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

@@ -214,7 +214,7 @@ class GainResult(Brief):
         local = "local optimum, certified" if self.success else "no certified optimum"
         n = len(self.seed_values)
         if not n:
-            return f"{local}; searched from a grid over the whole box"
+            return f"{local}; searched from a grid over all bounds"
         if n == 1:
             return f"{local}; one search, other seeds were not tried"
         best = np.nanmax([*self.seed_values, -np.inf])

@@ -48,7 +48,7 @@ def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[s
     labels = solution.problem.families[0].labels if given else [point_label(P, Omega) for P, Omega in plants.points]
     unstable = [label for label, rate in zip(labels, plants.slowest, strict=False) if rate < 0]
     notes = tuple(
-        ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} is a fit that did not converge")
+        ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} comes from a fit that did not converge")
         for fit in (plants.unfinished if isinstance(plants, ModelPlants) else ())
     )
     if unstable:

@@ -127,8 +127,8 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tu
         large = f"{count} operations" if count > MOST_INSTRUCTIONS else ""
         if predictor.jumps:
             text = (
-                f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives know only the "
-                "pieces between them, so estimates of where they lie, and their standard deviations, are rough"
+                f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives describe "
+                "only the smooth pieces, so estimates of the jumps, and their standard deviations, are rough"
             )
             notes.append(FitNote.JUMPS(text))
     else:

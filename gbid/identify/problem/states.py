@@ -91,7 +91,7 @@ def initial_states(
         rest = kind.states_at_rest
         if rest and not stated:
             choice = [0.0 if i in rest else "estimated" for i in range(n)]
-            notes = (FitNote.AT_REST(f"{len(rest)} states that are soon forgotten are zero at the first sample"),)
+            notes = (FitNote.AT_REST(f"{len(rest)} quickly decaying states are zero at the first sample"),)
     chosen = choice if isinstance(choice, Mapping) else dict.fromkeys(recordings, choice)
     if wrong := sorted(set(chosen) ^ set(recordings)):
         names = ", ".join(wrong)
@@ -108,7 +108,7 @@ def initial_states(
     hidden = frozenset().union(*anatomy.in_x0) - anatomy.in_equations.union(*begun)
     if lost := [q.name for q in parameters if not q.fixed and q.name in hidden]:
         raise DataError(
-            f"initial_state: no recording begins at the state of which {', '.join(lost)} is a parameter; fix each "
+            f"initial_state: no recording starts from the state with {', '.join(lost)}; fix each of these "
             "(fixed=...), or use initial_state='structure'"
         )
     return InitialStates(values, released, choice, notes)

@@ -51,7 +51,7 @@ def omitted_effect(optimum: Optimum) -> str:
     loss = float(np.nanmin(losses)) if np.isfinite(losses).any() else here
     if not 0.5 * np.log(here / loss) * shooting.likelihood_size > _BY_CHANCE:
         return ""
-    return f"of effect that may be missing, {every[0][0]} lowers the loss most, by {100 * (1 - loss / here):.3g} %"
+    return f"of the effects that may be missing, {every[0][0]} lowers the loss most, by {100 * (1 - loss / here):.3g} %"
 
 
 def _least(optimum: Optimum, here: float, alternative: Alternative, steps: int) -> float:
