@@ -634,8 +634,8 @@ def _of_periods(
         coherence[place] = np.clip(1 - left * len(recordings) / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
     if not np.isfinite(response).any():
         raise DataError(
-            f"{len(recordings)} recordings do not separate the inputs at any line: make as many recordings as there are "
-            "inputs, with different phases, or give each input different lines"
+            f"{len(recordings)} recordings do not separate the inputs at any line: make as many recordings "
+            "as there are inputs, with different phases, or give each input different lines"
         )
     f = np.asarray((chosen + 1) / period_s, float)
     return f, response, np.sqrt(variance), coherence, float(periods)
