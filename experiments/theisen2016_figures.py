@@ -132,16 +132,16 @@ class PaperResults(Results):
         if not planned:
             raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
         _all_there({name: why for name, why in self.statics.missing.items() if name in planned})
-        return {name: q for name, q in self.statics.made.items() if isinstance(q, result)}
+        return {name: q for name, q in self.statics.complete.items() if isinstance(q, result)}
 
     @property
     def tuned(self) -> Mapping[str, TunedDesign]:
         """Tuned designs by name, at least one."""
         if not self.experiment.spec.controller:
             raise DataError("no section 'controller'; add one")
-        if not self.designs.made:
+        if not self.designs.complete:
             raise DataError("; ".join(f"design {name}: {why}" for name, why in self.designs.missing.items()))
-        return self.designs.made
+        return self.designs.complete
 
     def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
         """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
@@ -170,7 +170,7 @@ class PaperResults(Results):
     def _need_impacts(self) -> None:
         if self.experiment.spec.impacts is None:
             raise DataError("no section 'impacts'; add one")
-        if not self.studies.made:
+        if not self.studies.complete:
             _all_there(self.studies.missing)
 
 

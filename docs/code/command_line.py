@@ -8,6 +8,7 @@ from pathlib import Path
 import rich.console
 
 from gbid.cli.main import app
+from gbid.core import errors
 
 rich.console._is_jupyter = lambda: False  # a notebook, too, gets tables as text, where the command prints them
 
@@ -45,3 +46,25 @@ def shorten_quickstart(folder: str) -> Path:
     )
     path.write_text(shorter, encoding="utf-8")
     return path
+
+
+def print_helps() -> None:
+    """Help of each verb that is listed; verbs of stages have the options of run."""
+    for command in app.registered_commands:
+        if not command.hidden:
+            run(f"gbid {command.name} --help")
+            print()
+
+
+def print_exit_codes() -> None:
+    meanings = {
+        0: "fine",
+        errors.GbidError.exit_code: "a defect of gbid",
+        errors.UsageError.exit_code: "wrong usage, or something wrong in the YAML or in a structure file",
+        errors.DataError.exit_code: "bad data: a recording or result that cannot be used",
+        errors.NotConvergedError.exit_code: "a fit did not converge; its result is written and says so",
+        errors.ThresholdError.exit_code: "a validation threshold of the experiment was missed",
+        130: "interrupted; complete results are kept",
+    }
+    for code, meaning in meanings.items():
+        print(f"{code:4}  {meaning}")

@@ -34,3 +34,26 @@ def loop_recording(structure, truth, controller, sample_time):
         x = plant.A @ x + plant.B[:, 0] * r
         signals["w"][n], signals["r"][n], signals["p"][n] = excitation, r, p
     return gbid.Recording(signals, sample_time, name="held", units={"w": "m", "r": "m", "p": "m"})
+
+
+def shaker_fit():
+    """Recording of a noisy oscillator of 10 Hz, its fit, and the true model."""
+    mode = gbid.LinearStructure(
+        "mode",
+        [
+            gbid.Parameter("f", 9.0, 1.0, 30.0, unit="Hz"),
+            gbid.Parameter("damping", 0.05, 0.0, 1.0),
+            gbid.Parameter("gain", 1.0),
+        ],
+        lambda p: {
+            "A": [[0, 1], [-((2 * np.pi * p.f) ** 2), -4 * np.pi * p.damping * p.f]],
+            "B": [[0], [p.gain * (2 * np.pi * p.f) ** 2]],
+            "C": [[1, 0]],
+        },
+    )
+    truth = evaluate(mode, {"f": 10.0, "damping": 0.03, "gain": 2.0})
+    random = np.random.default_rng(4)
+    u = np.repeat(random.choice([-1.0, 1.0], 400), 5)[:, None]
+    y = truth.simulate(u, 0.005) + 3 * random.standard_normal((2000, 1))
+    shaker = gbid.Recording({"u": u, "y": y}, 0.005, name="shaker")
+    return shaker, gbid.fit(mode, shaker, focus="simulation"), truth
