@@ -593,7 +593,7 @@ def _cut_finely(
 
 
 def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> tuple[FloatArray, float]:
-    """Return the shift of the estimates with other pieces, (n_theta,), and its size in standard deviations."""
+    """Return the change of the estimates with shorter pieces, (n_theta,), and its size in standard deviations."""
     here, at = problem.shooting, solution.unknowns
     other = replace(problem.task, courses=courses).cut_anew(problem, at)
     shooting, start, (lower, upper) = other.shooting, other.unknowns, other.shooting.box

@@ -286,7 +286,7 @@ def _absolute(point: FilmPoint) -> tuple[np.ndarray, FloatArray]:
 
 @lru_cache(maxsize=64)
 def equilibrium(point: FilmPoint) -> FloatArray:
-    """Return the read-only equilibrium under the weight, by Newton's method; see `FilmPoint.rates`.
+    """Return the equilibrium of rotor and film under the weight, by Newton's method, as read-only arrays.
 
     Raises
     ------
