@@ -78,7 +78,7 @@ class Tally:
         if outcome.item in self._running:  # existing and failed items and those without input were not started
             self._running.remove(outcome.item)
             self.done += 1
-            self.failed += outcome.state == "failed"
+            self.failed += is_first_cause(outcome)  # what is left out for lack of input is told apart
         self.stuck += outcome.state != "failed" and not outcome.converged
         if outcome.fit_percent < self._worst[0]:
             self._worst = outcome.fit_percent, outcome.item

@@ -94,3 +94,15 @@ def test_progress_counts_what_could_not_be_made_once_for_each_stage(capsys):
         "table table.h5: made (0.0 s)",
         "crossval: 5 results not made: import of 6 recordings failed",
     ]
+
+
+def test_what_is_left_out_for_lack_of_input_is_not_counted_as_failed(capsys):
+    reporter = ProgressReporter()
+    figures = [failed("figure", f"fig{i}", "no section 'lpv'; add one", "input") for i in range(14)]
+    figures[0] = failed("figure", "fig0", "no data")
+    reporter.expect("figure", len(figures), 0, 0)
+    for outcome in figures:
+        reporter.begin(outcome.item)
+        reporter.end(outcome)
+    reporter.close()
+    assert "figure: 14 of 14 done, 1 failed," in capsys.readouterr().err
