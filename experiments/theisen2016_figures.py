@@ -22,10 +22,13 @@ from gbid.experiment.recordings import load_made
 from gbid.experiment.schema import wanted_signals
 from gbid.experiment.stages.crossval import validate_pair
 from gbid.experiment.stages.fit import fit_result
+from gbid.experiment.stages.impact import planned_impacts, recording_result
 from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
 from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.recording import Recording
-from gbid.report.canvas import Drawn
+from gbid.recording.recording import load_recording
+from gbid.report.canvas import TWO_COLUMNS, Drawn, letter, panels, series, styled
+from gbid.report.impact_pictures import validation_along
 from gbid.report.measured_pictures import piezo_data
 from gbid.report.read import Results
 from gbid.report.surface_pictures import Quantity
@@ -188,9 +191,25 @@ def _all_there(missing: Mapping[str, str]) -> None:
 # ---- Figures from these results, by name.
 
 
+@styled
 def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: PaperResults) -> npt.NDArray[np.object_]:
-    loops = results.impacts_at(rotating)
-    return report.plot_impact(report.impact_data(loops["open"], loops["closed"], axis))
+    """Draw the responses to an impact, in the middle the control signals or what does not turn with the shaft."""
+    loops, j = results.impacts_at(rotating), "xy".index(axis)
+    data = report.impact_data(loops["open"], loops["closed"], axis)
+    _, axes = panels(None, 3, 1, size=(TWO_COLUMNS, 5.2), sharex=True, height_ratios=[2, 2 if rotating else 1.2, 1])
+    report.plot_impact(data, axes[[0, 2]])
+    for k, (label, loop) in enumerate(zip(data.responses, ("open", "closed"), strict=True)):
+        v = validation_along(loops[loop], axis)
+        if rotating:
+            signal = v.measured[:, j] - v.stationary[:, j]
+        else:
+            planned = planned_impacts(results.experiment)[v.recording]
+            signal = load_recording(recording_result(results.experiment, planned).require()).signal("r")[:, j]
+        part = slice(v.shown.start, v.shown.start + len(data.time))
+        axes[1].plot(1e3 * data.time, 1e6 * signal[part], label=label, **series(k, marker=None, linewidth=1.1))
+    axes[1].set_ylabel(f"$p_{axis}$ less what\nturns with the shaft [µm]" if rotating else f"$r_{axis}$ [µm]")
+    letter(axes)
+    return axes
 
 
 def _plot_validation(axis: Literal["x", "y"], results: PaperResults) -> npt.NDArray[np.object_]:

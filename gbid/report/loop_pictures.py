@@ -320,7 +320,7 @@ def plot_magnitudes(
         panel.axhline(0.0, color=GREY, linewidth=0.7)
         for k, (label, level) in enumerate(levels.items()):
             shown = np.where(np.isfinite(level[:, i, j]), level[:, i, j], np.nan)
-            panel.semilogx(data.frequency_hz, shown, label=label, **series(k, marker=None))
+            panel.semilogx(data.frequency_hz, shown, label=label, **series(k, marker=None, linewidth=2.2 - 1.2 * k))
         panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
     for panel in axes[:, 0]:
         panel.set_ylabel("magnitude [dB]")

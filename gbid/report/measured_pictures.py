@@ -67,7 +67,8 @@ def plot_actuator_parameters(nominal: NominalActuator, ax: Sequence[Axes] | None
             values = scale * nominal.values[:, nominal.parameter_names.index(parameter)]
             out = np.array([(model, parameter) in off for model in nominal.models])
             panel.plot(number[~out], values[~out], "o", color=BLUE, markersize=3, label="estimates")
-            panel.plot(number[out], values[out], "x", color=RED, markersize=5, markeredgewidth=1.2, label="outliers")
+            word = "outliers" if off else "_none"  # Matplotlib leaves labels that begin with "_" out
+            panel.plot(number[out], values[out], "x", color=RED, markersize=5, markeredgewidth=1.2, label=word)
             panel.axhline(values[k], color=GREY, linewidth=0.9, linestyle=(0, (5, 1.5)), zorder=0)
             ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.1}
             panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
@@ -103,7 +104,7 @@ def plot_fit_histogram(summary: ValidationSummary, ax: Sequence[Axes] | None = N
         panel.stairs(counts, edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
         panel.axvline(mean, color=RED, linestyle=(0, (5, 1.5)))
         decimals = 2 if std >= 0.01 else 4
-        word = f"mean {mean:.2f} %\nstd {std:.{decimals}f} %\nn = {counts.sum()}"
+        word = f"mean {mean:.2f} %\nstd {std:.{decimals}f} %\nn = {counts.sum() + summary.below[j]}"
         place: dict[str, Any] = {"x": 0.03, "ha": "left"} if mean > edges.mean() else {"x": 0.97, "ha": "right"}
         panel.text(y=0.96, s=word, va="top", fontsize=8, transform=panel.transAxes, **place)
         more = f", {summary.below[j]} more to the left" if summary.below[j] else ""
@@ -190,7 +191,8 @@ def plot_piezo_staircase(
     Parameters
     ----------
     data : sequence of PiezoStaircase or PiezoCurve
-        Staircases or curves, for example open loop and PD control. Falling steps are mirrored and dashed.
+        Staircases or curves, for example open loop and PD control. Falling steps are mirrored. Steps at the end of the
+        travel are dashed.
     ax : sequence of two matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
@@ -204,18 +206,17 @@ def plot_piezo_staircase(
         curve = staircase.curve
         color = (ink(), RED)[k] if k < 2 else series(k)["color"]
         labelled: set[bool] = set()
-        for step, response in zip(curve.step, curve.responses.T, strict=True):
-            up = bool(step >= 0)
-            word = None if up in labelled else f"{staircase.label}, {'up' if up else 'down'}"
-            labelled.add(up)
-            style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
-            position = 1e6 * (response if up else -response)
+        for step, response, at_end in zip(curve.step, curve.responses.T, curve.saturated.tolist(), strict=True):
+            word = None if at_end in labelled else f"{staircase.label}{', at the end of the travel' * at_end}"
+            labelled.add(at_end)
+            style = {"linewidth": 0.9, "linestyle": (0, (3, 1.5)) if at_end else "-", "alpha": 1.0 if k else 0.8}
+            position = 1e6 * (response if step >= 0 else -response)
             axes[0].plot(1e3 * curve.response_time, position, color=color, label=word, **style)
         axes[1].plot(staircase.time, 1e6 * staircase.position, color=color)
-    axes[0].set(xlabel="time from the step [ms]", ylabel="step of the position [µm]")
+    axes[0].set(xlabel="time from the step [ms]", ylabel="step of the position [µm]", xscale="log")  # rise and creep
     axes[1].set(xlabel="time [s]", ylabel="piezo position [µm]")
     letter(axes)
-    legend_above(figure, axes, columns=4)
+    legend_above(figure, axes, columns=2)
     return axes
 
 

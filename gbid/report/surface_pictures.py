@@ -325,7 +325,7 @@ def plot_surfaces(
     is_curve = any(np.ptp(surface.speed_rpm) == 0 or np.ptp(surface.pressure_bar) == 0 for surface in data)
     if is_curve:
         size = (TWO_COLUMNS, 0.5 + 2.15 * rows)
-    _figure, axes = (
+    figure, axes = (
         panels(ax, rows, columns, size=size, subplot_kw={} if is_curve else {"projection": "3d"})
         if ax is None
         else panels(ax, len(data), size=size)
@@ -337,6 +337,8 @@ def plot_surfaces(
         if not hasattr(panel, "plot_surface"):
             raise UsageError("surfaces need three-dimensional axes; make them with projection='3d'")
         _plot_surface(panel, surface)
+    if ax is None and not is_curve and any(len(surface.points) for surface in data):
+        figure.supxlabel("estimates: \N{BLACK CIRCLE} above the surface, \N{WHITE CIRCLE} below", fontsize=9)
     for panel in axes[len(data) :]:
         panel.set_axis_off()
     return axes[: len(data)]

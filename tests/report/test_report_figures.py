@@ -230,6 +230,8 @@ def test_piezo_steps_and_plateaus():
         steps = np.array([line.get_ydata() for line in over_steps.get_lines()])
         np.testing.assert_allclose(steps, 1e6 * np.where(curve.step > 0, curve.responses, -curve.responses).T)
         assert (steps[:, -1] > 0).all()  # falling steps are mirrored
+        assert [line.get_linestyle() == "--" for line in over_steps.get_lines()] == curve.saturated.tolist()
+        assert over_steps.get_xscale() == "log"  # rise and creep
         np.testing.assert_array_equal(over_time.get_lines()[0].get_xdata(), staircase.time)
 
 
