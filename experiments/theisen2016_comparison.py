@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from math import hypot, isfinite, nan, sqrt
+from math import hypot, inf, isfinite, nan, sqrt
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
+from theisen2016_checks import CHECKS
 from theisen2016_figures import POINT, PaperResults, published_controller
 from theisen2016_impacts import LOOPS, recorded_again, ringing_without_noise, without_noise
 
@@ -41,6 +42,8 @@ KIND_WORDS: dict[Kind, str] = {
     "found again": "the rig's own truth found again",
     "set": "set by the rig",
 }
+_MOST = 0.25
+"""Largest share of a figure of the paper by which ours may lie off it."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,11 @@ class PaperNumber:
         Number of values behind the figure. For a mean, `scatter` is then the standard deviation of these values. For a
         standard deviation or an rms no scatter is needed.
     off : str
-        Name of the explanation of a deviation.
+        Name of a setting of ours or of an explanation that may account for a deviation.
     why : str
         Its words.
+    accounts : {"ours", "explained"}
+        Verdict when it does: ``ours`` for a setting, ``explained`` when other code links the paper's figure with ours.
     """
 
     id: str
@@ -83,15 +88,23 @@ class PaperNumber:
     samples: float | None = None
     off: str = ""
     why: str = ""
+    accounts: Literal["ours", "explained"] = "ours"
 
     @property
     def allowed(self) -> float | None:
-        """How far a value may lie off: the scatter; for means and sizes of scatter two standard errors."""
-        if self.value is None or self.samples is None:
+        """How far a value may lie off, at most 25 %: the scatter; for means and sizes of scatter two std errors."""
+        if self.value is None:
             return self.scatter
+        if self.samples is None:
+            return None if self.scatter is None else min(self.scatter, self.most)
         if self.scatter is None:  # of a standard deviation: s / sqrt(2 (n - 1))
-            return 2 * self.value / sqrt(2 * (self.samples - 1))
-        return 2 * self.scatter / sqrt(self.samples)
+            return min(2 * self.value / sqrt(2 * (self.samples - 1)), self.most)
+        return min(2 * self.scatter / sqrt(self.samples), self.most)
+
+    @property
+    def most(self) -> float:
+        """Largest deviation that any scatter excuses; without a figure of the paper there is no bound."""
+        return inf if self.value is None else _MOST * abs(self.value)
 
 
 def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
@@ -103,17 +116,19 @@ def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
         When the file is faulty: a key is unknown, an explanation or a kind is missing, or an id occurs twice.
     """
     file = read_yaml(path)
-    explanations: Mapping[str, str] = file.data["explanations"]
+    settings: Mapping[str, str] = file.data.get("settings", {})
+    accounts: Mapping[str, str] = {**settings, **file.data["explanations"]}
     known, found = _elsewhere(), dict[str, PaperNumber]()
     for i, row in enumerate(file.data["numbers"]):
         where = file.position(("numbers", i))
         off = row.get("off", "")
-        if off and off not in explanations:
-            raise UsageError(f"{where}: off: no explanation {off!r}; there is {', '.join(explanations)}")
+        if off and off not in accounts:
+            raise UsageError(f"{where}: off: no setting or explanation {off!r}; there is {', '.join(accounts)}")
         row = {"value": known.get(row["id"]), **row}
         row["scatter"] = known.get(str(row.get("scatter")), row.get("scatter"))
         try:
-            number = PaperNumber(**row, why=" ".join(str(explanations[off]).split()) if off else "")
+            why = " ".join(str(accounts[off]).split()) if off else ""
+            number = PaperNumber(**row, why=why, accounts="explained" if off and off not in settings else "ours")
         except TypeError as error:
             raise UsageError(f"{where}: {error}") from None
         if number.kind not in KIND_WORDS:
@@ -315,7 +330,8 @@ def _drawn(results: PaperResults) -> dict[str, FloatArray]:
     return {loop: np.std([modes[loop] for modes in loops], axis=0, ddof=1) for loop in LOOPS}
 
 
-# ---- Explanations. Each is a computation that predicts our value, and its standard deviation, without that value.
+# ---- What accounts for our values. Each computation predicts one, and its standard deviation, without that value.
+# Those of the settings put what the rig was given through the rig; that of an explanation starts at the paper's figure.
 
 
 def _of_plateaus(number: PaperNumber, results: PaperResults) -> Own:
@@ -405,28 +421,6 @@ def _std_of_surfaces(results: PaperResults) -> FloatArray:
     return np.array([_propagated(v, c) for v, c in zip(values, fit.uncertainty_at(*points.T), strict=True)])
 
 
-def _of_actuators(number: PaperNumber, results: PaperResults) -> Own:
-    """Return the published bearing behind our nominal actuators."""
-    modes = _modes(replace(results.machine, actuators=results.identified.actuators), results)
-    if number.id.startswith("damping_factor"):
-        i = int(number.id[-1]) - 1
-        return float(modes["closed"][i, 1] / modes["open"][i, 1]), _damping_factor(i, results)[1]
-    loop, at = _place(number)
-    return float(modes[loop][at]), _expected(loop, *at, results)[1]
-
-
-def _of_rig(number: PaperNumber, results: PaperResults) -> Own:
-    """Return what ring-downs show without noise and scatter; the obtained value has the only standard deviation."""
-    loop, at = _place(number)
-    return float(ringing_without_noise(results, loop)[at]), 0.0
-
-
-def _place(number: PaperNumber) -> tuple[str, tuple[int, int]]:
-    """Return the loop of a row of Tables 3 and 4, and the place of its figure among the modes."""
-    _, loop, what, i = number.id.split("_")
-    return loop, (int(i) - 1, ("frequency", "damping").index(what))
-
-
 _EQUAL = 0.0005
 """Half of the last digit of a damping factor in Table 4."""
 
@@ -448,13 +442,11 @@ def _of_flat(_: PaperNumber, results: PaperResults) -> Own:
     return float(np.mean(equal)), (max(equal) - min(equal)) / 4
 
 
-EXPLANATIONS: dict[str, Callable[[PaperNumber, PaperResults], Own]] = {
+ACCOUNTS: dict[str, Callable[[PaperNumber, PaperResults], Own]] = {
     "plateaus": _of_plateaus,
     "stacks": _of_stacks,
     "share": _of_share,
     "surfaces": _of_surfaces,
-    "actuators": _of_actuators,
-    "rig": _of_rig,
     "flat": _of_flat,
 }
 """Predictions of our values in SI units, by the name that `off` gives."""
@@ -462,8 +454,10 @@ EXPLANATIONS: dict[str, Callable[[PaperNumber, PaperResults], Own]] = {
 
 # ---- The comparison.
 
-Verdict = Literal["within", "explained", "open", "missing"]
-VERDICTS: tuple[Verdict, ...] = ("within", "explained", "open", "missing")
+Verdict = Literal["within", "explained", "ours", "open", "missing"]
+VERDICTS: tuple[Verdict, ...] = ("within", "explained", "ours", "open", "missing")
+_SAME = 0.02
+"""Largest relative difference between our value and the same figure by other code."""
 
 
 @dataclass(frozen=True)
@@ -476,14 +470,17 @@ class ReproductionRow:
         Figure of the paper.
     ours, std : float
         Our value and its standard deviation; nan without one.
-    verdict : {"within", "explained", "open", "missing"}
-        ``within``: the deviation is within the scatter of the paper and ours. ``explained``: it is not, or the paper
-        gives no value, and the prediction of the explanation agrees with our value. ``open``: neither. ``missing``:
-        there is no value of ours.
+    verdict : {"within", "explained", "ours", "open", "missing"}
+        ``within``: the deviation is within the scatter of the paper and ours, and at most 25 %. ``explained``: it is
+        not, and other code links the paper's figure with our value. ``ours``: it is not, or the paper gives no value,
+        and a setting of ours predicts our value. ``open``: none of these, or other code gives another value for ours.
+        ``missing``: there is no value of ours.
     why : str
-        Explanation that holds or fails, or what is missing.
+        Setting or explanation that holds or fails, what other code gives, or what is missing.
     predicted, predicted_std : float
-        What the explanation predicts for our value, and its standard deviation; nan without one.
+        Prediction of our value by the setting or explanation, and its standard deviation; nan without one.
+    checked : float
+        Our value by other code; nan where there is none.
     """
 
     number: PaperNumber
@@ -493,6 +490,7 @@ class ReproductionRow:
     why: str = ""
     predicted: float = nan
     predicted_std: float = nan
+    checked: float = nan
 
     @property
     def deviation(self) -> float:
@@ -516,9 +514,10 @@ class ReproductionRow:
             "allowed": n.allowed,
             "scatter_from": n.scatter_from,
             "verdict": self.verdict,
-            "explanation": n.off if self.verdict in ("explained", "open") else "",
+            "explanation": n.off if self.verdict in ("explained", "ours", "open") else "",
             "predicted": finite_or_none(self.predicted),
             "predicted_std": finite_or_none(self.predicted_std),
+            "checked": finite_or_none(self.checked),
             "why": self.why,
         }
 
@@ -554,7 +553,9 @@ def _compared(number: PaperNumber, results: PaperResults) -> ReproductionRow:
         ours, std = (scale * v for v in dict(_values())[number.id](results))
         row = judged(number, ours, std)
         if row.verdict == "open" and number.off:
-            row = explained(row, *(scale * v for v in EXPLANATIONS[number.off](number, results)))
+            row = accounted(row, *(scale * v for v in ACCOUNTS[number.off](number, results)))
+        if number.id in CHECKS and row.verdict != "missing":
+            row = checked(row, scale * CHECKS[number.id](results))
     except GbidError as error:
         row = ReproductionRow(number, nan, nan, "missing", str(error))
     return row
@@ -567,18 +568,43 @@ def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRo
     row = ReproductionRow(number, ours, std, "open")
     if number.value is None or number.allowed is None:
         return row
-    allowed = hypot(number.allowed, 2 * std if isfinite(std) else 0.0)
+    allowed = min(hypot(number.allowed, 2 * std if isfinite(std) else 0.0), number.most)
     return replace(row, verdict="within") if abs(row.deviation) <= allowed + 1e-12 * abs(number.value) else row
 
 
-def explained(row: ReproductionRow, predicted: float, std: float) -> ReproductionRow:
-    """Return a row with the prediction of its explanation, which must lie within two standard deviations of our value.
+def accounted(row: ReproductionRow, predicted: float, std: float) -> ReproductionRow:
+    """Return a row with the prediction of its setting or explanation, which holds within two standard deviations.
 
     A prediction that is not finite is one that failed.
     """
     allowed = 2 * hypot(std, row.std if isfinite(row.std) else 0.0)
-    verdict: Verdict = "explained" if abs(row.ours - predicted) <= allowed else "open"
+    verdict: Verdict = row.number.accounts if abs(row.ours - predicted) <= allowed else "open"
     return replace(row, verdict=verdict, why=row.number.why, predicted=predicted, predicted_std=std)
+
+
+def checked(row: ReproductionRow, value: float) -> ReproductionRow:
+    """Return a row with our value by other code; the row is open when the two differ by more than 2 %."""
+    if abs(row.ours - value) <= _SAME * abs(value):
+        return replace(row, checked=value)
+    why = "Other code gives another value for ours (theisen2016_checks.py)."
+    return replace(row, checked=value, verdict="open", why=why)
+
+
+def headline(rows: Sequence[ReproductionRow]) -> list[str]:
+    """Return what the comparison says, in three lines: formulas, gains, and what was measured."""
+
+    def outside(start: str) -> str:
+        of = [row for row in rows if row.number.id.startswith(start)]
+        return f"{sum(row.verdict != 'within' for row in of)} of {len(of)}"
+
+    explained = [row.number.quantity for row in rows if row.verdict == "explained"]
+    return [
+        f"Formulas: {outside('model_')} figures of the published model lie outside the paper's printed digits.",
+        f"Gains tuned on that model under the paper's own peak of S_o: {outside('tuned_')} figures lie outside"
+        + (f"; explained by other code: {', '.join(explained)}." if explained else "."),
+        f"Measured on the rig: {outside('obtained_closed_')} figures of the closed loop lie outside, and "
+        f"{outside('obtained_open_')} of the open loop.",
+    ]
 
 
 def counts(rows: Sequence[ReproductionRow]) -> dict[str, dict[str, int]]:
@@ -595,25 +621,32 @@ Answer = tuple[bool | None, str]
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence of the paper; `where` is its section or figure."""
+    """One sentence of the paper; `where` is its section or figure, `paper` what its own figures answer."""
 
     id: str
     where: str
     says: str
     kind: Kind
+    paper: str = ""
 
 
 def sentences(results: PaperResults, path: Path = FILE) -> list[dict[str, str]]:
-    """Return the sentences of the paper as plain values: where, what it says, kind, answer, figure."""
+    """Return the sentences of the paper as plain values: where, what it says, kind, answer, figure, its own answer."""
     documents = []
     for sentence in (Sentence(**row) for row in read_yaml(path).data["sentences"]):
         try:
             holds, figure = ANSWERS[sentence.id](results)
         except GbidError as error:
             holds, figure = None, str(error)
-        answer = {True: "yes", False: "no", None: "not testable"}[holds]
-        documents.append({**vars(sentence), "answer": answer, "figure": figure})
+        paper = sentence.paper
+        if sentence.id in OF_SURFACES:
+            own, words = OF_SURFACES[sentence.id](results.machine, _points(results))
+            paper = f"Table B.6: {_WORDS[own]}, {words}"
+        documents.append({**vars(sentence), "paper": paper, "answer": _WORDS[holds], "figure": figure})
     return documents
+
+
+_WORDS = {True: "yes", False: "no", None: "not testable"}
 
 
 def _linear(results: PaperResults) -> Answer:
@@ -621,10 +654,15 @@ def _linear(results: PaperResults) -> Answer:
     return None, f"the rig is linear by its equations; off a line by up to {off:.2g} um, which is noise"
 
 
-def _coupling(results: PaperResults) -> Answer:
-    g = np.abs(_of_points(results.surface_fit.model, _points(results))[:, -4:])
-    ratio = float((g[:, [0, 3]].min(axis=1) / g[:, [1, 2]].max(axis=1)).min())
-    return ratio >= 10, f"smallest ratio of a direct to a cross gain over the 15 points: {ratio:.1f}"
+def _of_our_surfaces(answer: Callable[[LPVModel, FloatArray], Answer], results: PaperResults) -> Answer:
+    return answer(results.surface_fit.model, _points(results))
+
+
+def _coupling(model: LPVModel, points: FloatArray) -> Answer:
+    g = np.abs(_of_points(model, points)[:, -4:])
+    ratio = g[:, [0, 3]].min(axis=1) / g[:, [1, 2]].max(axis=1)
+    n, least = int((ratio >= 10).sum()), float(ratio.min())
+    return n == len(points), f"ten times at {n} of {len(points)} points, at least {least:.1f} times"
 
 
 def _runout(results: PaperResults) -> Answer:
@@ -681,15 +719,14 @@ def _horizontal_actuators(results: PaperResults) -> Answer:
     return bool(mean[0] < mean[1] and x > y), words
 
 
-def _longer_delay(results: PaperResults) -> Answer:
-    tau = _of_points(results.surface_fit.model, _points(results))[:, :2]
+def _longer_delay(model: LPVModel, points: FloatArray) -> Answer:
+    tau = _of_points(model, points)[:, :2]
     n = int((tau[:, 0] > tau[:, 1]).sum())
     return n == len(tau), f"at {n} of {len(tau)} points"
 
 
-def _falling_delay(results: PaperResults) -> Answer:
-    points = _points(results)
-    tau = _of_points(results.surface_fit.model, points)[:, :2]
+def _falling_delay(model: LPVModel, points: FloatArray) -> Answer:
+    tau = _of_points(model, points)[:, :2]
     falls = [
         tau[b] < tau[a]
         for a in range(len(points))
@@ -707,6 +744,17 @@ def _uncertain_damping(results: PaperResults) -> Answer:
     ]
     f, zeta = (100 * max(relative[i] for i in at) for at in ((2, 3), (4, 5)))
     return zeta > f, f"rms off the surface, relative: damping {zeta:.2g} %, frequencies {f:.2g} %"
+
+
+def _small_variation(results: PaperResults) -> Answer:
+    """Share of the squared deviations from a surface that lies within the operating points, for each key parameter."""
+    estimates = results.surface_fit.estimates
+    away = estimates.values - results.surface_fit.surface
+    points, owner = np.unique(estimates.points, axis=0, return_inverse=True)
+    means = np.array([away[owner.ravel() == i].mean(axis=0) for i in range(len(points))])
+    shares = ((away - means[owner.ravel()]) ** 2).sum(axis=0) / (away**2).sum(axis=0)
+    words = f"{100 * shares.min():.0f} to {100 * shares.max():.0f} % of the variance off the surfaces is within points"
+    return bool(shares.max() < 0.5), words
 
 
 def _four_krpm(results: PaperResults) -> Answer:
@@ -813,17 +861,22 @@ def _controlled_stack(results: PaperResults) -> Answer:
     return bool(closed.hysteresis < opened.hysteresis / 2 and creep[1] < creep[0] / 2), words
 
 
-ANSWERS: dict[str, Callable[[PaperResults], Answer]] = {
-    "linear": _linear,
+OF_SURFACES: dict[str, Callable[[LPVModel, FloatArray], Answer]] = {
     "coupling": _coupling,
+    "longer_delay": _longer_delay,
+    "falling_delay": _falling_delay,
+}
+"""Answers of surfaces at operating points, by id of the sentence; those of Table B.6 are the paper's own."""
+ANSWERS: dict[str, Callable[[PaperResults], Answer]] = {
+    **{name: partial(_of_our_surfaces, answer) for name, answer in OF_SURFACES.items()},
+    "linear": _linear,
     "runout": _runout,
     "constant_actuators": _constant_actuators,
     "outliers": _outliers,
     "coloured": _coloured,
     "small_residuals": _small_residuals,
     "horizontal_actuators": _horizontal_actuators,
-    "longer_delay": _longer_delay,
-    "falling_delay": _falling_delay,
+    "small_variation": _small_variation,
     "uncertain_damping": _uncertain_damping,
     "four_krpm": _four_krpm,
     "sensitivity": _sensitivity,

@@ -27,7 +27,7 @@ from gbid.lpv.model_file import ProportionalDesign, PublishedMachine
 from gbid.prefilter import PiezoCurve, StaticMap
 from gbid.recording import Recording
 from gbid.recording.recording import load_recording
-from gbid.report.canvas import TWO_COLUMNS, Drawn, letter, panels, series, styled
+from gbid.report.canvas import TWO_COLUMNS, Drawn, legend_above, letter, panels, series, styled
 from gbid.report.impact_pictures import validation_along
 from gbid.report.measured_pictures import piezo_data
 from gbid.report.read import Results
@@ -196,8 +196,11 @@ def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: PaperResu
     """Draw the responses to an impact, in the middle the control signals or what does not turn with the shaft."""
     loops, j = results.impacts_at(rotating), "xy".index(axis)
     data = report.impact_data(loops["open"], loops["closed"], axis)
-    _, axes = panels(None, 3, 1, size=(TWO_COLUMNS, 5.2), sharex=True, height_ratios=[2, 2 if rotating else 1.2, 1])
+    figure, axes = panels(
+        None, 3, 1, size=(TWO_COLUMNS, 5.2), sharex=True, height_ratios=[2, 2 if rotating else 1.2, 1]
+    )
     report.plot_impact(data, axes[[0, 2]])
+    axes[0].get_legend().remove()
     for k, (label, loop) in enumerate(zip(data.responses, ("open", "closed"), strict=True)):
         v = validation_along(loops[loop], axis)
         if rotating:
@@ -209,6 +212,7 @@ def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: PaperResu
         axes[1].plot(1e3 * data.time, 1e6 * signal[part], label=label, **series(k, marker=None, linewidth=1.1))
     axes[1].set_ylabel(f"$p_{axis}$ less what\nturns with the shaft [µm]" if rotating else f"$r_{axis}$ [µm]")
     letter(axes)
+    legend_above(figure, axes, title=data.title)
     return axes
 
 

@@ -21,6 +21,7 @@ from theisen2016_comparison import (
     alternative_rows,
     computation_rows,
     counts,
+    headline,
     repeated_rows,
     reproduction,
     sentences,
@@ -186,12 +187,14 @@ _COLUMNS = (
 )
 _LEGEND = (
     "+-: how far by the paper's own account, for means and sizes of scatter two standard errors; within: no further, "
-    "with two of our standard deviations; predicted: what the numbered explanation computes for our value; see: it "
-    "agrees within two standard deviations; open: it does not, or there is none"
+    "with two of our standard deviations, and never beyond 25 %; predicted: what the numbered text computes for our "
+    "value, within two standard deviations; explained: other code links the paper's figure with ours; ours: a setting "
+    "of ours makes our value; open: neither, or other code gives another value for ours"
 )
 _COUNTED = {
     "within": "within the paper's scatter",
-    "explained": "explained by a computation that predicts our value",
+    "explained": "explained",
+    "ours": "ours by setting",
     "open": "open",
     "missing": "missing",
 }
@@ -200,6 +203,7 @@ _SENTENCES = (
     Column("where"),
     Column("sentence", wrap=True),
     Column("kind"),
+    Column("the paper's own answer", wrap=True),
     Column("here"),
     Column("figure", wrap=True),
 )
@@ -214,9 +218,16 @@ def reproduction_tables(document: Mapping[str, Any]) -> list[Table]:
         From `reproduction_document`.
     """
     rows, reasons = _laid_out(document)
-    notes = [*_totals(document), f"{_LEGEND}.", *(f"{i}. {reason}" for i, reason in enumerate(reasons, 1))]
+    notes = [
+        *document["headline"],
+        *_totals(document),
+        f"{_LEGEND}.",
+        *(f"{i}. {reason}" for i, reason in enumerate(reasons, 1)),
+    ]
     table = Table("the paper's figures and ours", _COLUMNS, rows, ["", *notes])
-    said = [[row[key] for key in ("where", "says", "kind", "answer", "figure")] for row in document["sentences"]]
+    said = [
+        [row[key] for key in ("where", "says", "kind", "paper", "answer", "figure")] for row in document["sentences"]
+    ]
     spoken = Table("what the paper says without a figure", _SENTENCES, said)
     return [table, spoken, *map(_past, document["past_the_paper"])]
 
@@ -247,7 +258,7 @@ def _laid_out(document: Mapping[str, Any]) -> tuple[list[list[Entry]], list[str]
     rows: list[list[Entry]] = []
     reasons: list[str] = []
     for row in document["rows"]:
-        word = "see" if row["verdict"] == "explained" else row["verdict"]
+        word = row["verdict"]
         if row["why"]:
             reasons += [] if row["why"] in reasons else [row["why"]]
             word = f"{word} {reasons.index(row['why']) + 1}"
@@ -433,8 +444,9 @@ def _table_past(
 def reproduction_document(
     rows: Sequence[ReproductionRow], said: Sequence[Mapping[str, str]] = (), past: Sequence[Table] = ()
 ) -> dict[str, Any]:
-    """Return rows and sentences as plain values, the number of rows by kind and verdict, and tables past the paper."""
+    """Return headline, rows, sentences and further tables as plain values, with the rows by kind and verdict."""
     return {
+        "headline": headline(rows),
         "counts": counts(rows),
         "rows": [row.document() for row in rows],
         "sentences": [dict(sentence) for sentence in said],
@@ -445,7 +457,7 @@ def reproduction_document(
 def _as_table(rows: Sequence[ReproductionRow]) -> Table:
     columns = (
         *("where", "quantity", "kind", "unit", "paper", "allowed", "ours", "ours_std", "deviation"),
-        *("verdict", "explanation", "predicted", "predicted_std", "why"),
+        *("verdict", "explanation", "predicted", "predicted_std", "checked", "why"),
     )
     documents = [row.document() for row in rows]
     return plain_table(columns, [[document[name] for name in columns] for document in documents])

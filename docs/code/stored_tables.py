@@ -50,11 +50,17 @@ def coverage_text():
 
 def counts_table():
     """Numbers of the paper by verdict."""
-    words = {"within": "within the paper's scatter", "explained": "explained", "open": "open", "missing": "missing"}
+    words = {"within": "within the paper's scatter", "explained": "explained", "ours": "ours by setting"}
+    words |= {"open": "open", "missing": "missing"}
     rows = ["| rows | " + " | ".join(words.values()) + " |", "|---|" + "---:|" * len(words)]
     for kind, n in stored("reproduction")["counts"].items():
         rows.append(f"| {kind} ({sum(n.values())}) | " + " | ".join(str(n[w]) for w in words) + " |")
     return "\n".join(rows)
+
+
+def headline_text():
+    """What the comparison with the paper says, in a list."""
+    return "\n".join(f"- **{line}**" for line in stored("reproduction")["headline"])
 
 
 def reproduction_text():

@@ -11,7 +11,8 @@ from gbid.report.named import paper
 
 
 @pytest.mark.parametrize(
-    "module", ["theisen2016_impacts", "theisen2016_comparison", "theisen2016_figures", "theisen2016_paper"]
+    "module",
+    [f"theisen2016_{word}" for word in ("checks", "comparison", "figures", "impacts", "paper")],
 )
 def test_a_new_worker_finds_each_module_beside_the_experiment(module, tmp_path):
     """A worker that is spawned has loaded none of them; their functions get the job and the file."""
