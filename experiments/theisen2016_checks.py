@@ -89,7 +89,7 @@ def ringing_again(results: PaperResults, loop: str) -> FloatArray:
     pieces = [
         (i, v.measured[hit.stop : end])
         for i, v in enumerate(study.validations)
-        for hit, (_, end) in zip(v.impacts, v.windows, strict=True)
+        for hit, end in zip(v.impacts, [*(q.start for q in v.impacts[1:]), len(v.measured)], strict=True)
     ]
     length = min(len(p) for _, p in pieces)
     measured = np.array([p[:length] for _, p in pieces])  # (impacts, samples, 2)

@@ -466,7 +466,7 @@ def ringing(modes, n=600):
             states.append(step @ states[-1])
         hit = MeasuredImpact(0, 1, 10.0, 0.0 if axis == "x" else 90.0)
         p = np.array(states)[:, :2] + 1e-8 * np.random.default_rng(1).standard_normal((n, 2))
-        validations.append(SimpleNamespace(time=2e-4 * np.arange(n), measured=p, impacts=(hit,), windows=((0, n),)))
+        validations.append(SimpleNamespace(time=2e-4 * np.arange(n), measured=p, impacts=(hit,)))
     return validations
 
 
