@@ -15,7 +15,7 @@ from theisen2016_figures import PaperResults
 from theisen2016_impacts import LOOPS
 
 from gbid.core.arrays import FloatArray
-from gbid.lpv.model import CHARACTERISTICS
+from gbid.lpv.model import CHARACTERISTICS, LPVModel
 from gbid.structure import KEY_PARAMETERS
 
 # ---- Delays, modes and static gains of key parameters, and of surfaces.
@@ -23,14 +23,14 @@ from gbid.structure import KEY_PARAMETERS
 
 def characteristics_again(values: npt.ArrayLike) -> FloatArray:
     """Return delays, frequencies [Hz], damping factors, static gains, (n, 10), from the characteristic polynomial."""
-    rows = []
+    rows: list[list[float]] = []
     for row in np.atleast_2d(np.asarray(values, float)):
         v = dict(zip(KEY_PARAMETERS, row, strict=True))
         entry = {  # s^2 - d s - k on the diagonal, -d s - k beside it
             pair: np.array([float(pair in ("xx", "yy")), -v[f"d_{pair}"], -v[f"k_{pair}"]])
             for pair in ("xx", "xy", "yx", "yy")
         }
-        poles = np.roots(np.polysub(np.polymul(entry["xx"], entry["yy"]), np.polymul(entry["xy"], entry["yx"])))
+        poles = np.roots(np.convolve(entry["xx"], entry["yy"]) - np.convolve(entry["xy"], entry["yx"]))
         pairs = sorted(poles[poles.imag > 0], key=abs)
         frequency, damping = [abs(p) / (2 * np.pi) for p in pairs], [-p.real / abs(p) for p in pairs]
         k, b = (np.array([[v[f"{q}_xx"], v[f"{q}_xy"]], [v[f"{q}_yx"], v[f"{q}_yy"]]]) for q in "kb")
@@ -45,8 +45,8 @@ def _on_surface(coefficients: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(terms @ coefficients.T)
 
 
-def _coefficients(model: object) -> FloatArray:
-    return np.array([model.coefficients[key] for key in KEY_PARAMETERS], float)  # type: ignore[attr-defined]
+def _coefficients(model: LPVModel) -> FloatArray:
+    return np.array([model.coefficients[key] for key in KEY_PARAMETERS], float)
 
 
 @lru_cache(maxsize=4)

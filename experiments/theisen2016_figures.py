@@ -199,7 +199,7 @@ def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: PaperResu
     figure, axes = panels(
         None, 3, 1, size=(TWO_COLUMNS, 5.2), sharex=True, height_ratios=[2, 2 if rotating else 1.2, 1]
     )
-    report.plot_impact(data, axes[[0, 2]])
+    report.plot_impact(data, [axes[0], axes[2]])
     axes[0].get_legend().remove()
     for k, (label, loop) in enumerate(zip(data.responses, ("open", "closed"), strict=True)):
         v = validation_along(loops[loop], axis)
