@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -160,7 +160,7 @@ def _peak_of(
     least = max(least, 1e-13 * float(np.linalg.norm(B) * np.linalg.norm(C) / (np.linalg.norm(A) + 1e-300)), 1e-100)
     for _ in range(60):
         gamma = max(best, least) * (1 + 2 * tolerance)
-        crossings = _crossings(A, B, C, D, gamma)
+        crossings = crossing_frequencies(A, B, C, D, gamma)
         if not len(crossings):
             break
         edges = np.unique(np.concatenate([[0.0], crossings]))
@@ -188,7 +188,14 @@ def _vertex(gains: Callable[[FloatArray], FloatArray], best: float, w: float) ->
     return (value, float(place)) if value > best else (best, w)
 
 
-def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma: float) -> FloatArray:
+def crossing_frequencies(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    gamma: float,
+    eigenvalues: Callable[[FloatArray], Any] = np.linalg.eigvals,
+) -> FloatArray:
     """Return angular frequencies at which a singular value may equal gamma; rounding may add wrong frequencies."""
     R = gamma**2 * np.eye(D.shape[1]) - D.T @ D
     weighted = np.linalg.solve(R, np.hstack([B.T, D.T @ C]))
@@ -198,6 +205,6 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma
     lower = C.T @ (C + D @ RDC)
     ratio = np.sqrt(max(float(np.linalg.norm(lower)), 1e-300) / max(float(np.linalg.norm(BRB)), 1e-300))
     H = np.block([[F, BRB * ratio], [-lower / ratio, -F.T]])
-    eigenvalues = np.linalg.eigvals(H)
-    near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-13 * np.linalg.norm(H, 1)
-    return np.sort(eigenvalues.imag[near & (eigenvalues.imag >= 0)])
+    values = eigenvalues(H)
+    near = np.abs(values.real) <= 1e-7 * np.abs(values) + 1e-13 * np.linalg.norm(H, 1)
+    return np.asarray(np.sort(values.imag[near & (values.imag >= 0)]))

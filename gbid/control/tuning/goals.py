@@ -147,10 +147,13 @@ class Bound:
         From frequencies [Hz] to bounds, for arrays of any shape.
     places_hz : (k,) array
         Frequencies at which it has a corner, a step, or a narrow dip [Hz].
+    constant : bool
+        Whether it is one number at all frequencies.
     """
 
     of_hz: Callable[[FloatArray], FloatArray]
     places_hz: FloatArray
+    constant: bool = False
 
 
 def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
@@ -177,7 +180,7 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
         value = float(bound)
         if not (is_finite(bound) and value > 0):
             raise UsageError(f"{what} = {bound!r}; give a positive number")
-        return Bound(lambda hz: np.full(np.shape(hz), value), np.zeros(0))
+        return Bound(lambda hz: np.full(np.shape(hz), value), np.zeros(0), constant=True)
     try:
         points = np.array([(float(hz), float(value)) for hz, value in bound])
     except (TypeError, ValueError):

@@ -251,6 +251,10 @@ def _convex(H: FloatArray) -> FloatArray:
 # ---- Local optimisation of the worst of many eigenvalues and peaks by sequential quadratic programming (SQP).
 
 
+_FARTHEST = 4.0
+"""Largest trust region in units of the gains."""
+
+
 @dataclass(frozen=True)
 class LocalOptimum:
     """Local optimum: gains, score, number of iterations, whether the search converged, and its certificate."""
@@ -277,6 +281,8 @@ class LocalOptions:
     plain : bool
         Whether the curvature stays zero and no steps to coalescence are tried: a third of the time for a design near
         the optimum.
+    unit : (d,) array, optional
+        Units of the gains: the trust region is then a share of the units and of the gains, whichever are larger.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
     penalty : float
@@ -307,6 +313,7 @@ class LocalOptions:
     radius: float = 0.1
     iterations: int = 200
     plain: bool = False
+    unit: FloatArray | None = None
     repair: bool = True
     penalty: float = PENALTY
     target: float = -np.inf
@@ -355,7 +362,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
     -------
     LocalOptimum
     """
-    x, width = np.clip(start, problem.lower, problem.upper), problem.upper - problem.lower
+    x, bounds = np.clip(start, problem.lower, problem.upper), problem.upper - problem.lower
     H = np.zeros((len(x), len(x)))
     functions = problem.functions(x)
     groups: list[tuple[Coalescence, ...]] | None = None
@@ -364,6 +371,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
     for iteration in range(1, options.iterations + 1):
         if not functions.score.usable or problem.evaluations.exhausted:
             break
+        width = bounds if options.unit is None else np.minimum(np.maximum(options.unit, np.abs(x)), bounds)
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
         # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
@@ -401,7 +409,7 @@ def optimise_locally(problem: GainProblem, start: FloatArray, options: LocalOpti
             if not options.plain:
                 H = _curvature(problem, x, best, functions.states)
         if improvement > 0.5 * promised:
-            radius = min(2 * radius, 0.5)
+            radius = min(2 * radius, 0.5 if options.unit is None else _FARTHEST)
         elif not good:
             radius *= 0.35
         stalled = stalled + 1 if improvement < options.least_gain else 0

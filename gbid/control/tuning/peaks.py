@@ -8,10 +8,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from gbid.control.loop.norm import largest_singular_values
+from gbid.control.loop.norm import crossing_frequencies, largest_singular_values
 from gbid.control.tuning.kernels import SchurResponse, compiled_peak_slopes, compiled_peaks, kernels
 from gbid.control.tuning.loops import Derivatives, Loops, inverses
-from gbid.control.tuning.plane import Eigensystem, schur_form
+from gbid.control.tuning.plane import Eigensystem, eigenvalues, schur_form
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 _PER_DECADE = 28
@@ -217,13 +217,22 @@ def find_peaks(
     The grid has logarithmic spacing and contains the magnitudes of the eigenvalues of each loop, because a peak that a
     coarse grid would miss belongs to a lightly damped eigenvalue. Each local maximum is then refined.
     """
-    m = len(loops.A)
     respond_at, base = ModalResponse(loops, modes, rows), base_frequencies(modes.values)
     if gain is _largest and loops.D[:, rows].shape[1:] == (2, 2) and (library := kernels()) is not None:
         return Peaks(*compiled_peaks(library, respond_at.parts(), base, extra, least))
     grid = _grid(modes, base, extra)
-    values = gain(respond_at(grid), grid)
-    padded = np.full((m, grid.shape[1] + 2), -np.inf)
+    return _refined(respond_at, grid, gain(respond_at(grid), grid), gain=gain, least=least)
+
+
+def _refined(
+    respond_at: ModalResponse,
+    grid: FloatArray,
+    values: FloatArray,
+    gain: Callable[[ComplexArray, FloatArray], FloatArray] = _largest,
+    least: float = 0.0,
+) -> Peaks:
+    """Return the local maxima of gains (m, f) on ascending frequencies, refined."""
+    padded = np.full((len(grid), grid.shape[1] + 2), -np.inf)
     padded[:, 1:-1] = values
     # of neighbours at one frequency only the last counts
     enough = np.maximum(0.6 * values.max(axis=1, keepdims=True), _NEAR * least)
@@ -252,6 +261,67 @@ def find_peaks(
     return Peaks(loop, np.where(better, vertex, place), np.where(better, top, best))
 
 
+_SPARSE = 6
+"""Frequencies in a decade of a search that ends with an exact norm."""
+_ROUNDS = 8
+"""Largest number of level sets."""
+_EXACT = 1e-7
+"""Relative error of an exact norm."""
+_FAR = 1e6
+"""Frequency that stands for infinity, in magnitudes of the fastest mode."""
+
+
+def exact_peaks(loops: Loops, modes: Eigensystem, enough: float = np.inf) -> Peaks:
+    """Return the local maxima of the largest singular value; the highest of a stable loop is its H-infinity norm.
+
+    The peaks of a sparse grid and of the surroundings of all modes give lower bounds. The eigenvalues of a Hamiltonian
+    matrix then tell at which frequencies a loop exceeds the largest bound, see `gbid.control.loop.norm.peak_gain`, and
+    the middles between them become part of the grid. Beyond a gain of `enough` a lower bound is returned.
+
+    Parameters
+    ----------
+    loops, modes
+        Matrices of the loops, and their eigenvalues and eigenvectors.
+    enough : float
+        Gain beyond which no more peaks are looked for.
+    """
+    response, every = ModalResponse(loops, modes, slice(None)), np.arange(len(loops.A))
+    base, far = base_frequencies(modes.values, _SPARSE), _FAR * np.abs(modes.values).max(axis=1)
+    loop, which = np.nonzero(modes.values.imag > 0)
+    near = around(modes.values[loop, which])
+    extra = np.concatenate([every, np.repeat(loop, near.shape[1])]), np.concatenate([far, near.ravel()])
+    stable = np.flatnonzero((modes.values.real < 0).all(axis=1)).tolist()
+    for _ in range(_ROUNDS):
+        grid = _grid(modes, base, extra)
+        values = largest_singular_values(response(grid))
+        if values.max() > enough or not stable:  # the response of an unstable loop has no meaning
+            best = values.argmax(axis=1)
+            return Peaks(every, grid[every, best], np.minimum(values[every, best], HIGHEST))
+        peaks = _refined(response, grid, values)
+        level = float(peaks.value.max(initial=0.0)) * (1 + _EXACT)
+        if not 1e-100 < level < min(enough, HIGHEST):
+            break
+        missed = [_exceeding(response, loops, i, level) for i in stable]
+        if not any(map(len, missed)):
+            break
+        extra = (
+            np.concatenate([extra[0], np.repeat(stable, list(map(len, missed)))]),
+            np.concatenate([extra[1], *missed]),
+        )
+    return peaks
+
+
+def _exceeding(response: ModalResponse, loops: Loops, i: int, level: float) -> FloatArray:
+    """Return frequencies at which the largest singular value of a stable loop exceeds a level."""
+    A, B, C, D = loops.A[i], loops.B[i], loops.C[i], loops.D[i]
+    crossings = crossing_frequencies(A, B, C, D, level, lambda H: eigenvalues(H[None])[0])
+    if not len(crossings):
+        return crossings
+    edges = np.unique(np.concatenate([[0.0], crossings]))
+    places = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2])
+    return np.asarray(places[largest_singular_values(response(places[None], np.array([i])))[0] > level])
+
+
 def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return position and height of the parabola's vertex through three points; outside them the highest point."""
     before, here, after = values.T
@@ -278,9 +348,10 @@ def base_frequencies(values: ComplexArray, per_decade: int = _PER_DECADE) -> Flo
     if size.size and size.min() > 10.0 and size.max() <= 1e5:
         return _spaced(1.0, 1e5, per_decade)
     size = size[(size > 0) & np.isfinite(size)]
-    middle, top = (float(np.median(size)), float(size.max())) if size.size else (1.0, 1.0)
+    middle, top = (float(np.sort(size)[len(size) // 2]), float(size.max())) if size.size else (1.0, 1.0)
     low = 1.0 if middle > 10.0 else 1e-2 * middle
-    return _spaced(low, 1e5 if top <= 1e5 else min(10 * top, 1e4 * max(middle, 1e2)), per_decade)
+    high = 1e5 if top <= 1e5 else min(10 * top, 1e4 * max(middle, 1e2))
+    return _spaced(2.0 ** np.floor(np.log2(low)), 2.0 ** np.ceil(np.log2(high)), per_decade)  # few different ones
 
 
 @lru_cache(maxsize=32)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 from time import monotonic
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,8 @@ class LoopState:
         Changes of each gain for differences, towards the inside of the bounds.
     known_system : Eigensystem, optional
         Eigenvalues and eigenvectors, where they are known.
+    enough : float
+        Excess of a measure beyond which a lower bound of it is as good as the excess.
     """
 
     family: LoopFamily
@@ -59,6 +61,7 @@ class LoopState:
     loops: Loops
     steps: FloatArray
     known_system: Eigensystem | None = None
+    enough: float = inf
     _subspaces: dict[int, InvariantSubspaces] = field(default_factory=dict, init=False, repr=False)
     computed: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
     """What measures have computed of these loops, by a key of theirs."""
@@ -98,6 +101,8 @@ class Measure(ABC):
     """Quantity of each loop for a goal: its excess is at most 0 within the limit, and positive beyond."""
 
     name: str
+    stable_only: ClassVar[bool] = False
+    """Whether it has a meaning for stable loops only; as an objective it is then `_UNSTABLE` for others."""
 
     @abstractmethod
     def excess(self, state: LoopState) -> FloatArray:
@@ -106,6 +111,10 @@ class Measure(ABC):
     @abstractmethod
     def pieces(self, state: LoopState, window: float) -> Pieces:
         """Return the smooth pieces whose excess is above ``-window``, with gradients."""
+
+    def curvature(self, state: LoopState, loop: IntArray, place: ComplexArray) -> FloatArray:
+        """Return second derivatives (k, d, d) of pieces with given loops and places; 0 where they are not known."""
+        return np.zeros((*np.broadcast_shapes(loop.shape, place.shape), len(state.gains), len(state.gains)))
 
 
 @dataclass(frozen=True)
@@ -244,6 +253,8 @@ def merit(score: Score, penalty: float = PENALTY) -> float:
     return score.value - penalty * score.violation if score.usable else -np.inf
 
 
+_UNSTABLE = 300.0
+"""Excess of an objective that has no value because a loop is unstable."""
 _EIGENVALUES, _RESPONSES = ("aim", "pole"), ("sensitivity", "control", "static")
 DIFFERENCE = 1e-6
 """Step of differences of gradients, as a share of the bounds."""
@@ -368,8 +379,10 @@ class GainProblem:
             violation = max(violation, float(row @ x - limit))
         if self.limits.measures and some is None:
             states = [self.state(*args) for args in zip(self.families, every, [x] * len(every), systems, strict=True)]
+            if not self.limits.extra:
+                states = [replace(state, enough=-worst) for state in states]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
-            value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
+            value = min([value, *(-float(self._objective(e, s).max()) for e in self.limits.soft for s in states)])
         return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
 
     @property
@@ -436,7 +449,8 @@ class GainProblem:
             return ActiveFunctions(UNUSABLE, (), ())
         rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
         values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
-        softs = [(soft, f, state, soft.excess(state)) for soft in self.limits.soft for f, state in enumerate(states)]
+        pairs = [(soft, f, state) for soft in self.limits.soft for f, state in enumerate(states)]
+        softs = [(soft, f, state, self._objective(soft, state)) for soft, f, state in pairs]
         worst = min([*(float(v.min()) for v in values), *(-float(excess.max()) for *_, excess in softs)])
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
             upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
@@ -462,7 +476,9 @@ class GainProblem:
             for f, state in enumerate(states):
                 pieces = zip(*extra.pieces(state, window), strict=True)
                 limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in pieces]
-        for soft, f, state, _ in softs:
+        for soft, f, state, by_loop in softs:
+            if by_loop.max() == _UNSTABLE:
+                continue
             pieces = zip(*soft.pieces(state, worst + window + 1e-12), strict=True)
             aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in pieces]
         violation = max([0.0, *(piece.value for piece in limits)])
@@ -470,6 +486,12 @@ class GainProblem:
             return ActiveFunctions(UNUSABLE, (), ())
         sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
         return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]), tuple(states))
+
+    def _objective(self, soft: Measure, state: LoopState) -> FloatArray:
+        """Return the excess of a soft measure of each loop."""
+        if soft.stable_only and not (true_rates(state.system.values, state.family.sample_time).real < self.edge).all():
+            return np.full(len(state.family), _UNSTABLE)
+        return soft.excess(state)
 
     def _of_eigenvalues(
         self, kind: str, f: int, loop: IntArray, values: ComplexArray, slopes: ComplexArray, chosen: BoolArray
@@ -523,6 +545,11 @@ class GainProblem:
         step = np.where(x + step > self.upper, -step, step)
         total = np.zeros((len(x), len(x)))
         for f, state in enumerate(states):
+            for measure in self.limits.measures:
+                same = [(q, weight) for q, weight in weighted if (q.family, q.kind) == (f, measure.name)]
+                if same:
+                    loops, places = (np.array([getattr(q, name) for q, _ in same]) for name in ("loop", "place"))
+                    total += _weighted(measure.curvature(state, loops, places), same)
             kinds = (*_EIGENVALUES, *_RESPONSES)
             known = [(piece, weight) for piece, weight in weighted if piece.family == f and piece.kind in kinds]
             if not known:
@@ -543,8 +570,7 @@ class GainProblem:
                     here = self._of_values(kind, f, values, first)[1][:, None]
                     near = self._of_values(kind, f, moved[0], moved[1].reshape(-1, len(x)))[1]
                     second = (near.reshape(change.shape) - here) / step[:, None]
-                sound = np.isfinite(second).all(axis=(1, 2))
-                total += np.einsum("n,nqd->qd", np.array([weight for _, weight in same])[sound], second[sound])
+                total += _weighted(second, same)
         return total
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
@@ -591,6 +617,12 @@ class GainProblem:
                 heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
                 limited.append(("static", f, Peaks(np.arange(len(rest)), rest[:, 0], heights), limit))
         return limited
+
+
+def _weighted(second: FloatArray, weighted: Sequence[tuple[ActiveFunction, float]]) -> FloatArray:
+    """Return the weighted sum of the finite ones of second derivatives (k, d, d)."""
+    sound = np.isfinite(second).all(axis=(1, 2))
+    return np.asarray(np.einsum("n,nqd->qd", np.array([weight for _, weight in weighted])[sound], second[sound]))
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

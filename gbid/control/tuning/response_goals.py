@@ -30,7 +30,9 @@ from gbid.control.tuning.peaks import (
     around,
     base_frequencies,
     direct_response,
+    exact_peaks,
     find_peaks,
+    peak_curvature,
     peak_slopes,
 )
 from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_frequencies
@@ -74,6 +76,7 @@ class ResponseMeasure(Measure):
         Weight.
     """
 
+    stable_only = True
     name: str
     response: LoopResponse
     bound: Bound
@@ -102,6 +105,22 @@ class ResponseMeasure(Measure):
         gradient = slopes / gains[:, None]
         return Pieces(loop, np.log(self.weight * value), gradient, place.astype(complex) * 1j)
 
+    def curvature(self, state: LoopState, loop: IntArray, place: ComplexArray) -> FloatArray:
+        """Return second derivatives (k, d, d) of peaks of the largest singular value, which move over frequency."""
+        if self.structured:
+            return super().curvature(state, loop, place)
+        whole, w = self._of_response(state.derivatives, state.family.n_outputs), place.imag
+        assert isinstance(whole, Derivatives)
+        second = peak_curvature(whole, slice(None), loop, w, state.family.bend(state.gains, state.steps))
+        # f = max over w: f_xx - f_xw f_wx / f_ww, the last two by differences
+        sides = [peak_slopes(whole, slice(None), Peaks(loop, at, at)) for at in (0.9999 * w, w, 1.0001 * w)]
+        low, top, high = (np.log(size) for _, size in sides)
+        mixed = (sides[2][0] / sides[2][1][:, None] - sides[0][0] / sides[0][1][:, None]) / 2
+        moves = np.flatnonzero((low + high - 2 * top < -1e-14) & (w > 0))
+        bend = (low + high - 2 * top)[moves, None, None]
+        second[moves] -= mixed[moves, :, None] * mixed[moves, None] / bend
+        return second
+
     def _peaks(self, state: LoopState) -> Peaks:
         if self not in state.computed:
             state.computed[self] = self._found(state)
@@ -115,7 +134,12 @@ class ResponseMeasure(Measure):
             return np.asarray(gains / self.bound.of_hz(true_frequencies(frequency, T) / (2 * np.pi)))
 
         loops = self._of_response(state.loops, state.family.n_outputs)
-        return find_peaks(loops, state.system, slice(None), self._places(state), size)
+        if self.structured or not self.bound.constant:
+            return find_peaks(loops, state.system, slice(None), self._places(state), size)
+        limit = float(self.bound.of_hz(np.zeros(1))[0])
+        enough = limit / self.weight * float(np.exp(min(state.enough, 300.0)))
+        peaks = exact_peaks(loops, state.system, enough)
+        return replace(peaks, value=peaks.value / limit)
 
     def _places(self, state: LoopState) -> tuple[IntArray, FloatArray]:
         """Return loops and frequencies at which the search for peaks starts: of the bound, and around modes."""
@@ -384,6 +408,10 @@ class PathMeasure(ResponseMeasure):
         """Return smooth pieces: the peaks near the limit, or the responses at multiples of the speed."""
         return super().pieces(self._along(state), window)
 
+    def curvature(self, state: LoopState, loop: IntArray, place: ComplexArray) -> FloatArray:
+        """Return second derivatives (k, d, d) of pieces."""
+        return super().curvature(self._along(state), loop, place)
+
     def _along(self, state: LoopState) -> LoopState:
         assert isinstance(state.family, ControlLoops)
         if self.path not in state.computed:
@@ -488,6 +516,7 @@ class PeakResponse(PathGoal):
         edges = np.array([self.low_hz * (1 + 1e-9), self.high_hz * (1 - 1e-9)])
         places = np.union1d(bound.places_hz, edges[(edges > 0) & (edges < np.inf)])
         within = Bound(lambda hz: np.where((hz >= self.low_hz) & (hz <= self.high_hz), bound.of_hz(hz), 1e300), places)
+        within = bound if (self.low_hz, self.high_hz) == (0.0, inf) else within
         return PathMeasure(
             self.title("response"),
             LoopResponse.SENSITIVITY,

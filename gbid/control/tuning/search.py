@@ -187,6 +187,18 @@ class LocalSearch:
         limited = limits.has_responses or limits.measures or self.problem.linear
         return len(self.unit) not in GRID and not limited
 
+    @property
+    def norms(self) -> bool:
+        """Whether the objective is made of peaks of responses, with stability as the only limit."""
+        limits = self.problem.limits
+        limited = limits.has_responses or limits.extra or limits.slowest_pole or self.problem.linear
+        return not (limited or limits.weight) and all(soft.stable_only for soft in limits.soft)
+
+    @property
+    def step_unit(self) -> FloatArray | None:
+        """Units of the first steps of a local search; None for the width of the bounds."""
+        return self.unit if self.norms else None
+
     def short(self, start: FloatArray, target: float, again: bool = False) -> LocalOptimum:
         """Improve a start by a short local search; by a full search if only eigenvalues are limited.
 
@@ -194,6 +206,9 @@ class LocalSearch:
         """
         if self.free:
             return self.full(start)
+        if self.norms:  # curved valleys need their curvature, and the first steps a length that fits the gains
+            effort = LocalOptions(1.0, 2 * self.options.short, unit=self.unit, repair=False, target=target, pace=0.02)
+            return self._stable_end(start, start, effort)
         effort = LocalOptions(0.02 if again else 0.1, self.options.short, not again, repair=False)
         return self._stable_end(start, start, replace(effort, target=target, pace=self.options.pace))
 
@@ -202,13 +217,15 @@ class LocalSearch:
         if self.free:  # coalesced eigenvalues creep along a curved surface; no target tells how far
             return self._stable_end(start, start, LocalOptions(iterations=2 * self.options.full))
         effort = LocalOptions(iterations=self.options.full, target=target, pace=self.options.pace, known=known)
+        effort = replace(effort, unit=self.step_unit)
         return self._stable_end(start, start, replace(effort, near=self.options.neighbours * self.unit))
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random step of a given size; stop early if it cannot be better."""
-        width = np.maximum(self.unit, np.abs(best.x)) if self.free else self.problem.upper - self.problem.lower
+        near = np.maximum(self.unit, np.abs(best.x))
+        width = near if self.free or self.norms else self.problem.upper - self.problem.lower
         start = best.x + size * rng.standard_normal(len(best.x)) * width
-        effort = LocalOptions(self.options.hop_radius, 60)
+        effort = LocalOptions(self.options.hop_radius, 60, unit=self.step_unit)
         if not self.free:
             near = self.options.neighbours * self.unit
             effort = replace(effort, target=rank(best), pace=self.options.pace, known=(best,), near=near)
@@ -237,7 +254,7 @@ class LocalSearch:
             for radius in self.options.certifying_radii:
                 if self.problem.evaluations.exhausted or self.certified(best):
                     return best
-                again = optimise_locally(self.problem, start, LocalOptions(radius, 60))
+                again = optimise_locally(self.problem, start, LocalOptions(radius, 60, unit=self.step_unit))
                 best = again if better(again.score, best.score) else best
         return best
 
@@ -282,7 +299,7 @@ def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator
 def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, note: Note) -> LocalOptimum:
     """Basin-hopping steps from one design, until several steps in a row fail or return to known optima."""
     options, failed_steps, returned = local.options, 0, 0
-    sizes = options.free_hop_sizes if local.free else options.hop_sizes
+    sizes = options.free_hop_sizes if local.free or local.norms else options.hop_sizes
     for i in range(options.hops):
         if failed_steps >= options.patience or returned >= options.returned or local.problem.evaluations.exhausted:
             break
@@ -324,11 +341,20 @@ _MARGIN = 0.02
 """Decay beyond the slowest allowed one at which a pole no longer counts in this ascent, in typical rates."""
 _UNUSABLE = 1e30
 """Growth where a matrix is not finite: more than any."""
+_NEARBY = 1.0, 0.3
+"""Spread of the starts for the peak of a response: far from the neutral gains most local optima are poor."""
 WIDE = 8.0
 """Width of the bounds, in units of the gain, from which on a grid and random starts are denser near the middle."""
 
 
-def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: int, seed: int) -> list[FloatArray]:
+def random_starts(
+    problem: GainProblem,
+    neutral: FloatArray,
+    unit: FloatArray,
+    n: int,
+    seed: int,
+    spread: tuple[float, float] = (WIDE, 1.0),
+) -> list[FloatArray]:
     """Return random starts around the neutral gains, each moved to gains with stable loops if possible.
 
     The distances from the neutral gains lie between the units of the gains and the widths of the bounds, with a
@@ -346,6 +372,8 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
         Number of starts.
     seed : int
         Seed of the random numbers.
+    spread : (float, float)
+        Smallest distance in units, and the share of the decades from it to the bounds in which the distances lie.
     """
     d, low, high = len(neutral), problem.lower, problem.upper
     rows = spread_points(n, d + 1, seed)
@@ -358,7 +386,7 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
         if problem.evaluations.exhausted:
             break
         x = np.where(decades, first * (last / first) ** u, low + u * (high - low))
-        reach = np.where(decades, 1.0, np.minimum(WIDE * unit / (high - low), 1.0) ** (1.0 - far))
+        reach = np.where(decades, 1.0, np.minimum(spread[0] * unit / (high - low), 1.0) ** (1.0 - spread[1] * far))
         x = neutral + reach * (x - neutral)
         nearer = (neutral + np.where(decades, 1.0, share) * (x - neutral) for share in _SHARES)
         stable = next((y for y in nearer if problem.stable(y)), None)
@@ -402,6 +430,8 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
 
 _BOUNDING = 4
 """Largest number of loops of a family in a bound: a few far apart give nearly the bound of all."""
+_ANY = 1e6
+"""Bound of a merit that eigenvalues do not bound."""
 _BEHIND_GAIN_GRID = 0.1
 """How far behind the best merit of the grid a bound may be for all loops to be computed."""
 
@@ -455,6 +485,8 @@ def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArra
         rates = true_rates(eigenvalues(np.concatenate([family.states(x, slice(one, one + 1)) for x in designs])), T)
         value = np.minimum(value, problem.aim(rates, T).min(axis=1))
         slow = np.maximum(slow, rates.real.max(axis=1))
+    if not problem.limits.weight:  # eigenvalues are no bound: fast designs first, unstable ones where none is stable
+        value = np.where(slow < problem.edge, _ANY, -_ANY) - slow / problem.scale
     merit = value - PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
     return np.asarray(np.where(np.isnan(merit), -np.inf, merit))
 
@@ -657,8 +689,9 @@ def search(problem: GainProblem, task: SearchTask) -> GainSolution:
     else:
         by_default = (24 if d <= 12 else 12) if local.free else (16 if d <= 8 else 8)
         n_starts = by_default if options.starts is None else options.starts
-        starts = random_starts(problem, given[0], local.unit, n_starts, options.seed)
-    many = not (gridded or local.free) and len(given) + len(starts) > 2 * options.finalists
+        spread = _NEARBY if local.norms else (WIDE, 1.0)
+        starts = random_starts(problem, given[0], local.unit, n_starts, options.seed, spread)
+    many = not (gridded or local.free or local.norms) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for i, start in enumerate((*given, *starts)):
         designs.append(LocalOptimum(start, problem.score(start), 0, False))
