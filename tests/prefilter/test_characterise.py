@@ -64,6 +64,18 @@ def test_drift_is_in_the_standard_error():
     assert means.std_error[0, 0] > 0.5
 
 
+@pytest.mark.parametrize(("size", "counts"), [(3.9, False), (4.1, True)])
+def test_a_drift_counts_from_four_standard_deviations_of_its_slope(size, counts):
+    time = np.arange(10) - 4.5  # of ten batches
+    lines = np.column_stack([np.ones(10), time])
+    rest = np.random.default_rng(1).standard_normal(10)
+    rest -= lines @ np.linalg.lstsq(lines, rest)[0]
+    slope = size * np.sqrt(rest @ rest / 8 / (time @ time))
+    batches = slope * time + rest
+    means = steady_means(np.repeat(batches, 7)[:, None], [(0, 70)])
+    assert means.std_error[0, 0] == pytest.approx(np.sqrt(batches.var(ddof=1) / 10 + (counts * 5 * slope) ** 2))
+
+
 # ---- the static map ----
 
 
