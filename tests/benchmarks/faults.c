@@ -1,6 +1,6 @@
 /* Library to preload: from a chosen call on, writes or locks fail with an error number, or the clock jumps.
 
-   A process calls `disturb` to choose; the counter of calls may be in shared memory. Standard streams never fail. */
+   A process calls `disturb` to choose; the counter of calls may be in shared memory. The file of the standard output never fails. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -37,8 +37,8 @@ static int fails(int what)
 
 static int is_file(int handle)
 {
-    struct stat found;
-    return handle > 2 && !fstat(handle, &found) && S_ISREG(found.st_mode);
+    struct stat found, told;
+    return !fstat(handle, &found) && S_ISREG(found.st_mode) && !(!fstat(1, &told) && told.st_ino == found.st_ino);
 }
 
 #define WITH(test, type, name, declared, ...)                 \
