@@ -500,7 +500,9 @@ class Chain(Brief):
             stack = self.options.offset_m, 0.0, self.options.stroke_m
             return (cast(tuple[float, float, float], stack),) * len(STACKS)
         rest = self.options.offsets or (0.0,) * len(self.limits)
-        return tuple((at, at - limit, at + limit) for at, limit in zip(rest, self.limits, strict=True))
+        return tuple(  # in OFF a command is zero, also where its value at rest is larger than its limit
+            (at, min(0.0, at - limit), max(0.0, at + limit)) for at, limit in zip(rest, self.limits, strict=True)
+        )
 
     @property
     def command(self) -> str:
