@@ -92,6 +92,7 @@ class FitNote(NoteKind):
     DEPENDENT = "GB142"
     BEFORE_CAUSE = "GB143"
     MISSING = "GB144"
+    STATES_HELD = "GB145"
 
 
 class DataNote(NoteKind):

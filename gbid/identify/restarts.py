@@ -7,7 +7,8 @@ no   start values                     windows                          gain   tr
 1a   as 1                             as 1                             held   where its predictor is almost unstable
 1b   solution of 1                    tenfold growth at most           free   where it runs away within its windows
 1c   from the data                    as 1, 1a, 1b                     free   where 1 is doubtful
-1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   where 1 is unstable
+1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   in place of 1, where a mode of that lasts
+1e   as 1, with initial states held   as 1                             free   where any ends at the edge of stability
 2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1, 1c or 1d fails
 2a   as 2                             tenfold growth at most           free   where the plant itself is unstable
 3    as 1                             tenfold growth at most           free   where 1 is unstable and 2 is not good
@@ -185,7 +186,8 @@ def _best_attempt(task: FitTask) -> Attempt:
     enough = task.data.records and task.options.max_iterations >= POLICY.enough_iterations
     may_restart = bool(enough) and ("data" not in task.begin.origin.values() or bool(task.begin.notes))
     nonlinear = kind_of(task.structure).nonlinear and may_restart
-    first = ladder.in_turn(stated, windows[:1] if nonlinear else windows)
+    steady = None if nonlinear else gain_start(ladder)
+    first = None if steady else ladder.in_turn(stated, windows[:1] if nonlinear else windows)
     attempts = [first] if first else []
     if first:
         # a local minimum leaves something out as well
@@ -195,7 +197,7 @@ def _best_attempt(task: FitTask) -> Attempt:
             return first
     if nonlinear:
         return _confirmed(ladder.in_other_windows(attempts))
-    if first is None and (start := gain_start(task)) is not None and (other := ladder.in_turn(start, windows)):
+    if steady and (other := ladder.in_turn(steady, windows)):
         text = "the start values are unstable: the fit began with the gain of a steady observer (Kalman filter)"
         attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
         if other.good:
@@ -240,6 +242,10 @@ class Ladder:
         """Return whether a growth rate per sample means instability over a record, or over `samples`."""
         return not log(max(rate, 1e-300)) * (self.longest if samples is None else samples) <= log(most)
 
+    def lasts(self, rate: float) -> bool:
+        """Return whether a rate per sample means growth, or a decay of less than tenfold over a record."""
+        return not -log(max(rate, 1e-300)) * self.longest >= log(POLICY.growth)
+
     def rate(self, start: Mapping[str, float]) -> float:
         """Return the predictor's largest growth per sample, at given start values."""
         return _rate(self.task.problem(start, windows_of(self.task)[0]))
@@ -261,12 +267,38 @@ class Ladder:
             status = tried[-1].result.status
             if status.success or status is FitStatus.SHAFT_AS_MODE:
                 break
+            if other := self._with_states_held(problem, tried[-1]):
+                return other
             if status is FitStatus.UNSTABLE_PREDICTOR and len(windows) > 1:
                 return self._bounded(self._with_gain_held(start, window), unstable=unstable)
         best = tried[-1] if tried[-1].result.success else min(tried, key=lambda attempt: attempt.loss)
         others = ", ".join(str(each.result.options.window) for each in tried if each is not best)
         text = f"windows of {others} samples did not converge; this is the result with {best.result.options.window}"
         return self._bounded(best.noted(FitNote.WINDOWS_CHANGED(text)) if others else best, unstable=unstable)
+
+    def _with_states_held(self, problem: PosedProblem, attempt: Attempt) -> Attempt | None:
+        """Return a converged attempt with a stable predictor where a solution stopped at the edge of stability.
+
+        There the response to an estimated initial state lasts for a whole record, and takes the place of errors. The
+        initial states are fixed at their start values, then estimated from the solution. None where they are known.
+        """
+        states = self.task.states
+        if states.known.all() or not (problem.shooting.noise and self.lasts(attempt.rate)):
+            return None
+        begins = problem.shooting.unpack(problem.unknowns)[1][problem.assembly.record_window, : states.values.shape[1]]
+        fixed = replace(self.task, states=replace(states, values=np.where(states.known, states.values, begins)))
+        held = solved(fixed.problem(problem.start, problem.window))
+        if not held.result.success or self.lasts(held.rate):
+            return None
+        if held.loss < attempt.loss:
+            estimates = {name: v for name, v in held.result.parameters.items() if "[" not in name}
+            free = solved(self.task.problem({**problem.start, **estimates}, problem.window))
+            if free.result.success:
+                return free
+        text = (
+            "with estimated initial states the predictor becomes almost unstable: they are held at their start values"
+        )
+        return held.noted(FitNote.STATES_HELD(text))
 
     def _with_gain_held(self, start: Mapping[str, float], window: int | None) -> Attempt:
         """Return an attempt with the disturbance gain fixed at its start value.
@@ -459,27 +491,37 @@ def _plant_alone(loop: Any, task: FitTask) -> FitTask:
     )
 
 
-def gain_start(task: FitTask) -> dict[str, float] | None:
+def gain_start(ladder: Ladder) -> dict[str, float] | None:
     """Return the start values with the disturbance gain of a steady observer: the best of several memories.
 
     Values that are near are kept, where a fit with an observer of short memory may lose them. None for a structure
-    without a free gain, or that is not linear.
+    without a free gain, or that is not linear, and where the stated gain is better or no mode lasts with it.
     """
+    task = ladder.task
     linear, values = kind_of(kind_of(task.structure).plant).linear, task.begin.values
-    if linear is None or task.options.focus != "prediction":
+    if linear is None or task.options.focus != "prediction" or not kind_of(linear).anatomy().gain_only:
+        return None
+    if not ladder.lasts(ladder.rate(values)):
         return None
     noise = _NOISE * np.sqrt(np.mean([np.var(record.outputs, axis=0) for record in task.undisturbed.records], axis=0))
     known = {q.name for q in linear.parameters}
     parameters = tuple(q for q in task.parameters if q.name in known)
-    model, costs = evaluate(linear, {name: values[name] for name in known}), list[tuple[float, dict[str, float]]]()
+    model = evaluate(linear, {name: values[name] for name in known})
     if len(model.C) != len(noise):
         return None
+    costs: list[tuple[float, dict[str, float] | None]] = [(_cost(task, values), None)]
     for reach in _REACHES[1:]:
         gain = observer_gain(model, task.undisturbed.sample_time, noise, reach)
         if gain is not None and (found := gain_parameters(linear, parameters, values, gain)):
-            problem = task.problem({**values, **found}, windows_of(task)[0])
-            costs.append((problem.shooting.at(problem.unknowns).cost, {**values, **found}))
-    return min((each for each in costs if np.isfinite(each[0])), key=lambda each: each[0], default=(0.0, None))[1]
+            costs.append((_cost(task, {**values, **found}), {**values, **found}))
+    return min(costs, key=lambda each: each[0])[1]
+
+
+def _cost(task: FitTask, start: Mapping[str, float]) -> float:
+    """Return the cost at start values; infinite where it has no value or the predictor is unstable."""
+    problem = task.problem(start, windows_of(task)[0])
+    cost = problem.shooting.at(problem.unknowns).cost
+    return cost if np.isfinite(cost) and not Ladder(task).grows(_rate(problem)) else np.inf
 
 
 def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, reach: float) -> FloatArray | None:

@@ -99,9 +99,10 @@ def held(seed, n=1500, h=0.02):
 KNOWN = np.diag([1e-4, 1e-3, 1e-2])
 
 
-@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 30), marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.parametrize(
+    "seeds", [(0, 10, 17, 29), pytest.param(range(30), marks=pytest.mark.slow)], ids=["few", "many"]
+)
 def test_a_gain_of_an_observer_at_the_start_values_starts_plants_of_third_order(seeds):
-    """All but one of 30: from its start, seed 10 ends where the gain makes the predictor unstable, and says so."""
     failed = []
     for seed in seeds:
         recording, at = held(seed)
@@ -123,4 +124,4 @@ def test_a_gain_of_an_observer_at_the_start_values_starts_plants_of_third_order(
         away = [abs(result.parameters[name] - value) / result.std[name] for name, value in at.items()]
         if not (result.success and max(away) < 4.5):
             failed.append((seed, str(result.status), away))
-    assert {seed for seed, *_ in failed} <= {10}
+    assert not failed

@@ -215,6 +215,7 @@ def _moved(
 
 _REFRESH = 2  # number of iterations that use the same exact columns
 _COLOURED = 0.1  # correlation of neighbouring errors above which they do not count as white
+_SLOW = 8  # iterations that the columns of the gain alone may need
 _LEAST = 0.01  # smallest curvature, as a part of that of Gauss-Newton
 _FLAT = 1e-12  # largest curvature of an undetermined direction, as a part of the largest
 
@@ -232,7 +233,7 @@ class ExactHessian:
     """Gauss-Newton Hessian plus second-order term for parameter columns, updated every few iterations.
 
     For white errors these are only the columns of the disturbance gain, because the gain multiplies the errors
-    themselves. For coloured errors they are all columns.
+    themselves. For coloured errors, and in a flat valley where these do not suffice, they are all columns.
 
     The Hessian of each part is made convex by itself (`held_up`). Otherwise the solver would shift the Hessian of all
     parts for one of them.
@@ -241,7 +242,7 @@ class ExactHessian:
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
         self._calls = 0
-        self._coloured = False
+        self._everything = False
         self._left_out: list[PartHessian] = []
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
@@ -250,8 +251,9 @@ class ExactHessian:
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
         if self._calls % _REFRESH == 0:
-            self._coloured = self._coloured or neighbours(problem, unknowns) > _COLOURED
-            self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._coloured)
+            everything = self._calls >= _SLOW or neighbours(problem, unknowns) > _COLOURED
+            self._everything = self._everything or everything
+            self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._everything)
         self._calls += 1
         convex = [
             left._replace(theta=held_up(left.theta, kept.theta)) if left.theta.any() else left

@@ -413,6 +413,8 @@ class Tolerances:
         Step at which a point is near enough to the minimum to judge the steps of an integrator.
     patience : int
         Iterations that a predictor may be unstable on the way, where its start was so too, or stand still.
+    edge : float
+        Rate of a predictor from which on small steps stand still at the edge of stability.
     rest, rest_by_paper : float
         Length that the next step of a solution may still have; the paper's rule stops earlier.
     farthest : float
@@ -432,6 +434,7 @@ class Tolerances:
     ahead: float = 7
     judged: float = 1.0
     patience: int = 5
+    edge: float = 1 - 1e-6
     rest: float = 0.1
     rest_by_paper: float = 1.0
     farthest: float = 1e9
@@ -514,6 +517,7 @@ class Watch:
     status: FitStatus | None = field(init=False, default=None)
     creeping: bool = field(init=False, default=False)
     rest: tuple[FloatArray, float] = field(init=False, default=(np.zeros(0), np.inf))
+    _inner: bool = field(init=False, default=False)
     _unstable: int = field(init=False, default=0)
     _stuck: int = field(init=False, default=0)
     _previous: FloatArray | None = field(init=False, default=None)
@@ -543,6 +547,11 @@ class Watch:
         still = small and self.options.stop == "tolerance"
         at_rest = still and self._nothing_to_gain(x)
         self._stuck = self._stuck + 1 if still and not at_rest else 0
+        inner = bool(problem.noise) and problem.stable_only and problem.rate(*problem.unpack(x)) < limit.edge
+        if self._previous is None:
+            self._inner = inner
+        elif self._inner and not inner and sigma < limit.step_before and gap < limit.gap:
+            self._stuck = limit.patience  # beyond the edge of stability the problem has no value
         near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
         self.creeping = creeps and problem.rate(*problem.unpack(x)) < 1
