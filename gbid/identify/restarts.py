@@ -6,7 +6,7 @@ no   start values                     windows                          gain   tr
 1    stated, or from the data         usual, half, four times as long  free   always, each where the last fails
 1a   as 1                             as 1                             held   where its predictor is almost unstable
 1b   solution of 1                    tenfold growth at most           free   where it runs away within its windows
-1c   from the data                    as 1, 1a, 1b                     free   where 1 is doubtful
+1c   from the data                    as 1, 1a, 1b                     free   where residuals of 1 are not white
 1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   in place of 1, where a mode of that lasts
 1e   as 1, with initial states held   as 1                             free   where any ends at the edge of stability
 2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1, 1c or 1d fails
@@ -26,7 +26,7 @@ Each attempt looks for other minima along the disturbance gain as well (`gbid.id
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 from typing import Any
@@ -39,6 +39,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.notes import FitNote
 from gbid.discretise.exact import discretise
+from gbid.identify.data import moves
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.judge import judge
 from gbid.identify.options import FitArguments
@@ -144,7 +145,12 @@ def solved(problem: PosedProblem) -> Attempt:
     """Return the attempt that solves a posed problem."""
     optimum = minimise(problem)
     result, shooting, unknowns = judge(optimum), optimum.shooting, optimum.solution.unknowns
-    doubtful = result.trusted != "white" and optimum.weighted is None and strongly_coloured(shooting, unknowns)
+    decays = not any(moves(record.inputs).any() for record in problem.task.data.records)
+    doubtful = (
+        result.trusted != "white"
+        and optimum.weighted is None
+        and (decays or strongly_coloured(shooting, unknowns))  # a decay has no input that residuals would follow
+    )
     return Attempt(result, shooting.rate(*shooting.unpack(unknowns)), doubtful, optimum)
 
 
@@ -186,27 +192,31 @@ def _best_attempt(task: FitTask) -> Attempt:
     enough = task.data.records and task.options.max_iterations >= POLICY.enough_iterations
     may_restart = bool(enough) and ("data" not in task.begin.origin.values() or bool(task.begin.notes))
     nonlinear = kind_of(task.structure).nonlinear and may_restart
-    steady = None if nonlinear else gain_start(ladder)
-    first = None if steady else ladder.in_turn(stated, windows[:1] if nonlinear else windows)
-    attempts = [first] if first else []
+    attempts = list[Attempt]()
+    steady = None if nonlinear else gain_start(ladder, ladder.lasts if may_restart else ladder.grows)
+    if steady and (other := ladder.in_turn(steady, windows)):
+        text = "a mode of the start values lasts: the fit began with the gain of a steady observer (Kalman filter)"
+        attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
+        if other.good:
+            return attempts[0]
+    first = ladder.in_turn(stated, windows[:1] if nonlinear else windows)
+    attempts += [first] if first else []
     if first:
-        # a local minimum leaves something out as well
-        good = first.good and (nonlinear or first.result.trusted != "none")
+        # a local minimum leaves something out as well; how little of it noise hides, a second start tells
+        good = first.good and (nonlinear or first.result.trusted == "white")
         final = good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
         if final:
             return first
     if nonlinear:
         return _confirmed(ladder.in_other_windows(attempts))
-    if steady and (other := ladder.in_turn(steady, windows)):
-        text = "the start values are unstable: the fit began with the gain of a steady observer (Kalman filter)"
-        attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
-        if other.good:
-            return attempts[0]
-    if first and first.result.success and not first.held and (start := data_start(task)) is not None:
-        other = ladder.in_turn(start, windows)
+    if first and first.result.success and not first.held:
+        start = data_start(task)
+        other = ladder.in_turn(start, windows) if start else None
         if other and other.result.success:
             text = "the fit began at values from the data, which led to a lower loss than the given ones"
             return _lowest([first, other.noted(FitNote.BEGUN_ELSEWHERE(text))])
+        if first.good and first.result.trusted != "none":
+            return first
     if (start := observer_start(task)) is not None:
         other, unstable = ladder.in_turn(start, windows), ""
         if other is None:  # the plant itself is unstable
@@ -387,11 +397,8 @@ def _lowest(attempts: Sequence[Attempt]) -> Attempt:
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes.append(FitNote.SHAFT(text))
     others = [each for each in attempts if each is not best]
-    if (
-        best.result.success
-        and not best.agrees(others)
-        and (best.doubtful or (others and best.result.trusted == "none"))
-    ):
+    coloured = best.doubtful or (others and best.result.trusted != "white")
+    if best.result.success and coloured and not best.agrees(others):
         notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
     return replace(best, result=best.result.noted(*notes))
 
@@ -413,8 +420,8 @@ def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
 
 
 def data_start(task: FitTask) -> dict[str, float] | None:
-    """Return start values from the data alone; None if the search fails or the structure is nonlinear."""
-    if kind_of(task.structure).linear is None:
+    """Return start values from the data alone; None if the search fails, the fit began there, or it is nonlinear."""
+    if kind_of(task.structure).linear is None or set(task.begin.origin.values()) == {"data"}:
         return None
     try:
         begin = begin_values(task.structure, task.parameters, task.undisturbed, task.hold, set(), from_data=True)
@@ -491,17 +498,18 @@ def _plant_alone(loop: Any, task: FitTask) -> FitTask:
     )
 
 
-def gain_start(ladder: Ladder) -> dict[str, float] | None:
+def gain_start(ladder: Ladder, tells: Callable[[float], bool]) -> dict[str, float] | None:
     """Return the start values with the disturbance gain of a steady observer: the best of several memories.
 
     Values that are near are kept, where a fit with an observer of short memory may lose them. None for a structure
-    without a free gain, or that is not linear, and where the stated gain is better or no mode lasts with it.
+    without a free gain, or that is not linear, and where the stated gain is better, or `tells` is false of the rate of
+    its predictor.
     """
     task = ladder.task
     linear, values = kind_of(kind_of(task.structure).plant).linear, task.begin.values
     if linear is None or task.options.focus != "prediction" or not kind_of(linear).anatomy().gain_only:
         return None
-    if not ladder.lasts(ladder.rate(values)):
+    if not tells(ladder.rate(values)):
         return None
     noise = _NOISE * np.sqrt(np.mean([np.var(record.outputs, axis=0) for record in task.undisturbed.records], axis=0))
     known = {q.name for q in linear.parameters}

@@ -550,7 +550,11 @@ class Watch:
         inner = bool(problem.noise) and problem.stable_only and problem.rate(*problem.unpack(x)) < limit.edge
         if self._previous is None:
             self._inner = inner
-        elif self._inner and not inner and sigma < limit.step_before and gap < limit.gap:
+        elif (
+            (self._inner and not inner)
+            and (sigma < limit.step_before and gap < limit.gap)
+            and not any(problem.parts_at_edge(problem.unpack(x)[0]))  # else the gain is to blame
+        ):
             self._stuck = limit.patience  # beyond the edge of stability the problem has no value
         near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
