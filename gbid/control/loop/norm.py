@@ -85,7 +85,9 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     if matrices.shape[-2:] == (2, 2):
         a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
         squares = (matrices.real**2 + matrices.imag**2).sum(axis=(-2, -1))
-        return larger_of_two(squares, np.abs(a * d - b * c))
+        with np.errstate(invalid="ignore"):
+            values = larger_of_two(squares, np.abs(a * d - b * c))
+        return np.asarray(np.where(np.isfinite(squares), values, inf))
     finite = np.asarray(np.isfinite(matrices).all(axis=(-2, -1)))
     M = np.where(finite[..., None, None], matrices, 0.0 + 0.0j)
     wide = M.shape[-2] < M.shape[-1]

@@ -211,7 +211,7 @@ class GainResult(Brief):
     @property
     def optimality(self) -> str:
         """Text on optimality: certified local optimum or not, and how many independent searches agree."""
-        local = "local optimum, certified" if self.success else "no certified optimum"
+        local = f"{self.status}, certified".replace("optimal", "optimum") if self.success else "no certified optimum"
         n = len(self.seed_values)
         if not n:
             return f"{local}; searched from a grid over all bounds"

@@ -487,6 +487,8 @@ def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
     """
     experiment, fit = job.experiment, needed(job.experiment.spec.nominal, "nominal").fit
     entries = fit_entries(job, fit)
+    if all(entry.result is None for entry in entries):
+        raise DataError(f"fit {fit!r} has none of its {len(entries)} models yet; `gbid fit` makes them")
     nominal = validate.nominal_actuator(tabulate(entries))
     models = [fit_result(experiment, fit, entry.model) for entry in entries if entry.result is not None]
     settings = {"left_out": nominal.left_out}
