@@ -128,6 +128,8 @@ def campaign(folder, nominal):
 def test_a_run_goes_on_where_poles_meet(tmp_path, capsys):
     path = campaign(tmp_path, "piezos")
     assert make_structure(load_experiment(path), "any") == PiezoPair(poles="any")
+    assert command("crossval", path) == 3
+    assert "none of its 2 models yet; `gbid fit` makes them" in capsys.readouterr().err
     assert command("run", path, "--engine", "serial") == 0
     assert "GB129" in "".join(capsys.readouterr())
     assert (tmp_path / "results" / "pairs" / "nominal" / "piezos.yaml").is_file()
