@@ -79,10 +79,10 @@ def _units(data: FitData, motions: Sequence[tuple[str, slice]]) -> Iterator[str]
 
 def _twins(records: Sequence[Record]) -> Iterator[str]:
     """Yield a note on each recording whose samples equal another recording's."""
-    alike: dict[tuple[int, float], list[Record]] = {}  # else many recordings would be compared with each other
+    groups: dict[tuple[int, float], list[Record]] = {}  # else many recordings would be compared with each other
     for record in records:
-        alike.setdefault((record.n_samples, float(record.outputs.sum())), []).append(record)
-    for one, other in chain.from_iterable(combinations(group, 2) for group in alike.values()):
+        groups.setdefault((record.n_samples, float(record.outputs.sum())), []).append(record)
+    for one, other in chain.from_iterable(combinations(group, 2) for group in groups.values()):
         if np.array_equal(one.outputs, other.outputs) and np.array_equal(one.inputs, other.inputs):
             yield FitNote.TWINS(
                 f"recordings {one.name!r} and {other.name!r} have the same samples, which make "
@@ -131,10 +131,10 @@ def _same_inputs(data: FitData) -> Iterator[str]:
     size = np.sqrt(np.diag(products))
     for i, j in combinations(np.flatnonzero(size > 0).tolist(), 2):
         cosine = float(products[i, j] / (size[i] * size[j]))
-        apart = float(np.sqrt(max(0.0, 1 - cosine**2)))
-        if apart < _SAME:
+        difference = float(np.sqrt(max(0.0, 1 - cosine**2)))
+        if difference < _SAME:
             yield FitNote.SAME_INPUTS(
-                f"inputs {data.input_names[i]!r} and {data.input_names[j]!r} are the same to {apart:.1g} of their "
+                f"inputs {data.input_names[i]!r} and {data.input_names[j]!r} are the same to {difference:.1g} of their "
                 "size: only their sum is known well; move them independently, or fit one of them"
             )
 

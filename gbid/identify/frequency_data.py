@@ -317,8 +317,8 @@ class FrequencyData(ChannelCurves, Pictured):
         try:
             inverse = np.linalg.inv(to_u.response[known])
         except np.linalg.LinAlgError:
-            moved = f"{', '.join(reference)} do not move {', '.join(inputs)} independently"
-            raise DataError(f"frequency response {self.name!r}: {moved}") from None
+            problem = f"{', '.join(reference)} do not move {', '.join(inputs)} independently"
+            raise DataError(f"frequency response {self.name!r}: {problem}") from None
         G = to_y.response[known] @ inverse
         variance = (to_y.std[known] ** 2 + np.abs(G) ** 2 @ to_u.std[known] ** 2) @ np.abs(inverse) ** 2
         names = to_u.output_names, to_y.output_names
@@ -625,9 +625,9 @@ def _of_periods(
             continue
         U, Y = mean[:, line, active].T, mean[:, line, n_u:].T
         H = Y @ np.linalg.pinv(U)
-        onto = np.hstack([-H, np.eye(len(Y))])
+        equations = np.hstack([-H, np.eye(len(Y))])
         channels = np.ix_([*active, *range(n_u, mean.shape[2])], [*active, *range(n_u, mean.shape[2])])
-        left = np.einsum("ya,ab,yb->y", onto, S[line][channels], onto.conj()).real
+        left = np.einsum("ya,ab,yb->y", equations, S[line][channels], equations.conj()).real
         response[place][:, active] = H
         variance[place][:, active] = np.outer(left, np.diag(np.linalg.pinv(U @ U.conj().T)).real) / 2
         power = (np.abs(Y) ** 2).sum(axis=1)

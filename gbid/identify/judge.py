@@ -322,17 +322,21 @@ class Judged:
         for pair in getattr(kind_of(optimum.problem.task.structure).plant, "exchangeable", ()):
             one, other = ([i for i, name in enumerate(short) if name == each] for each in pair)
             for i, j in zip(one, other, strict=False):  # none, where one is fixed
-                apart = np.zeros(len(theta))
-                apart[[i, j]] = np.sqrt(0.5), -np.sqrt(0.5)
-                shares, variance = spread.undetermined @ apart, float(apart @ spread.white @ apart)
+                direction = np.zeros(len(theta))
+                direction[[i, j]] = np.sqrt(0.5), -np.sqrt(0.5)
+                shares, variance = spread.undetermined @ direction, float(direction @ spread.white @ direction)
                 lost = np.linalg.norm(shares) > _NEARLY_ALL
-                if abs(theta[i] - theta[j]) > _EQUAL * abs(theta[i]) or not (lost or (apart @ theta) ** 2 < variance):
+                if abs(theta[i] - theta[j]) > _EQUAL * abs(theta[i]) or not (
+                    lost or (direction @ theta) ** 2 < variance
+                ):
                     continue
                 if lost:
-                    _, sizes, axes = np.linalg.svd(spread.undetermined - np.outer(shares, apart), full_matrices=False)
+                    _, sizes, axes = np.linalg.svd(
+                        spread.undetermined - np.outer(shares, direction), full_matrices=False
+                    )
                     spread = spread._replace(undetermined=axes[sizes > _INVOLVED])
                 else:
-                    spread = spread.along(np.eye(len(theta)) - np.outer(spread.white @ apart, apart) / variance)
+                    spread = spread.along(np.eye(len(theta)) - np.outer(spread.white @ direction, direction) / variance)
                 pairs.append((i, j))
         return spread, pairs
 
@@ -835,12 +839,12 @@ def integration(judged: Judged) -> Iterator[str]:
     shift = judged.integration_shift
     if shift is None or not judged.status.success:
         return
-    moved = [
+    shifts = [
         f"{q} by {abs(off):.2g}" for q, off in zip(judged.free, shift, strict=True) if abs(off) > REFINING.tolerated
     ]
-    if not moved:
+    if not shifts:
         return
-    task, moved_names = judged.optimum.problem.task, ", ".join(moved)
+    task, moved_names = judged.optimum.problem.task, ", ".join(shifts)
     if task.courses:
         yield FitNote.PIECES(
             f"{task.courses.schedule.pieces} pieces with constant parameters are too few for the courses: with shorter "

@@ -276,9 +276,9 @@ class Predictor(GeneralPredictor):
     def _compiled_parts(self, function: Any, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
         """Return the result of `_parts`, without sampled controller, by one call of a compiled function."""
         flat, jacobian = self._numbers(theta)
-        A, acting, late, delay, x0, C, feed = self._split(flat, jacobian, np.ndim(theta))
+        A, acting, delayed, delay, x0, C, feed = self._split(flat, jacobian, np.ndim(theta))
         n, n_p, n_y = A.shape[0], len(self.free), self.n_outputs
-        n_prompt, n_late, n_feed, impulse = len(self.prompt), late.shape[1], feed.shape[1], self._has_impulse
+        n_prompt, n_late, n_feed, impulse = len(self.prompt), delayed.shape[1], feed.shape[1], self._has_impulse
         n_error = acting.shape[1] - n_prompt
         columns = n + n_feed + impulse + n_error
         doublings = squarings_for([each(A)[0] * self.sample_time])
@@ -289,10 +289,10 @@ class Predictor(GeneralPredictor):
         room = 10 * n * n + n * (2 * (n_prompt + n_error + n_late) + 3 + columns) + flat.shape[1]
         given = [np.array([self.sample_time, *shift]), straight, flat, jacobian]
         run_compiled(function, (len(flat), *sizes), given, [np.empty(NUMBER * room), values, slopes])
-        onto = Dual(values, slopes) if np.ndim(theta) > 1 else Dual(values[0], slopes[:, 0])
+        dual = Dual(values, slopes) if np.ndim(theta) > 1 else Dual(values[0], slopes[:, 0])
         more = [C @ x0] if impulse else []
         H = side_by_side([feed, *more, constant(np.zeros((n_y, n_error)), n_p)])
-        return (onto.columns(slice(0, n)), onto.columns(slice(n, None)), C, H), shift
+        return (dual.columns(slice(0, n)), dual.columns(slice(n, None)), C, H), shift
 
     def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
@@ -309,7 +309,7 @@ class Predictor(GeneralPredictor):
         doublings = squarings_for([each(evaluated[0])[0] * (step if steps is None else steps[-1])])
         if steps is not None:
             evaluated, step = [at_points(part, steps.shape) for part in evaluated], steps[:, None, None]
-        A, acting, late, delay, x0, C, feed, *law = evaluated
+        A, acting, delayed, delay, x0, C, feed, *law = evaluated
         n_p, n_y, n, n_prompt, lead = len(self.free), self.n_outputs, A.shape[0], len(self.prompt), self._lead
         prompt, whole = slice(0, n_prompt), over_sample(A, step, doublings)
         holds = [*(self.holds[i] for i in self.prompt), *["zoh"] * (acting.shape[1] - n_prompt)]
@@ -319,7 +319,7 @@ class Predictor(GeneralPredictor):
         if lead:
             drives.append(following.columns([self.prompt.index(i) for i in lead]))
         for k, i in enumerate(self.delayed):
-            tau, b = delay.rows(slice(k, k + 1)), late.columns(slice(k, k + 1))
+            tau, b = delay.rows(slice(k, k + 1)), delayed.columns(slice(k, k + 1))
             near = float(tau.value.flat[0]), doublings
             taps = delayed_taps(A, b, tau, step, self.holds[i], near=near, whole=whole)
             drives += taps.columns if self.holds[i] == "foh" else taps.columns[1:]
@@ -347,10 +347,10 @@ class Predictor(GeneralPredictor):
         They are those of continuous time. Of a loop with a sampled controller they are those of the loop from sample to
         sample.
         """
-        A, acting, late, delay, _, C, feed, *_ = self._evaluate(theta)
+        A, acting, delayed, delay, _, C, feed, *_ = self._evaluate(theta)
         by_input, n_prompt = np.eye(self.n_inputs), len(self.prompt)
         B, D = (part.columns(slice(0, n_prompt)) @ by_input[list(self.prompt)] for part in (acting, feed))
-        B_delayed = late @ by_input[list(self.delayed)]
+        B_delayed = delayed @ by_input[list(self.delayed)]
         none = constant(np.zeros((A.shape[0], self.n_outputs)), len(self.free))
         K = acting.columns(slice(-self.n_outputs, None)) if self.feeds_back else none
         states = slice(self.n_states - len(self.disturbances.walking))  # those of random walks are the last
@@ -585,20 +585,20 @@ def _with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Mat
     if not outputs:
         return m
     n_u, n_y, added = m.B.shape[1], m.C.shape[0], len(outputs)
-    onto = ca.SX(n_y, added)
+    walk_feed = ca.SX(n_y, added)
     for column, output in enumerate(outputs):
-        onto[output, column] = 1
+        walk_feed[output, column] = 1
     no_input = ca.SX(added, n_u)
     feedback = m.feedback
     if feedback is not None:
         law, none = feedback.law, ca.SX(added, feedback.law.drive.shape[1])
-        drive, late = (ca.vertcat(each, none) for each in (law.drive, law.late))
-        feedback = feedback._replace(law=law._replace(drive=drive, late=late))
+        drive, delayed = (ca.vertcat(each, none) for each in (law.drive, law.late))
+        feedback = feedback._replace(law=law._replace(drive=drive, late=delayed))
     return m._replace(
         A=ca.diagcat(m.A, ca.SX(added, added)),
         B=ca.vertcat(m.B, no_input),
-        C=ca.horzcat(m.C, onto),
-        K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
+        C=ca.horzcat(m.C, walk_feed),
+        K=ca.vertcat(m.K, ca.diag(gains) @ walk_feed.T if gains.numel() else ca.SX(added, n_y)),
         B_delayed=ca.vertcat(m.B_delayed, no_input),
         x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
         feedback=feedback,

@@ -187,14 +187,14 @@ def _surfaces_of(
     """Surfaces over pressure and speed from a fit of any status; see `lpv_of`."""
     schedule = result.schedule
     assert schedule is not None
-    onto = in_terms(schedule.to_own_units, schedule.exponents)
+    to_terms = in_terms(schedule.to_own_units, schedule.exponents)
     names = [name for key in KEY_PARAMETERS for name in schedule.names(key)]
     scaled = np.array([result.parameters[name] for name in names]).reshape(len(KEY_PARAMETERS), -1)
     known = set(ACTUATOR_PARAMETERS) <= set(result.parameters)  # not those of PiezoPair(poles="any")
     fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS} if known else {}
     model = LPVModel(
         name,
-        dict(zip(KEY_PARAMETERS, map(tuple, (scaled @ onto.T).tolist()), strict=True)),
+        dict(zip(KEY_PARAMETERS, map(tuple, (scaled @ to_terms.T).tolist()), strict=True)),
         Domain(*zip(schedule.low, schedule.high, strict=True)),
         actuators=fitted if actuators is None else actuators,
         pade_order=schedule.pade_order,
@@ -204,7 +204,7 @@ def _surfaces_of(
     k = len(KEY_PARAMETERS)
     return LPVFit(
         model,
-        in_units_of_terms(covariance_of(result, names), onto),
+        in_units_of_terms(covariance_of(result, names), to_terms),
         np.zeros((k, k)),
         Estimates((), np.zeros((0, 2)), np.zeros((0, k)), np.zeros((0, k, k))),
         options={

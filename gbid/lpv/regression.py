@@ -129,12 +129,12 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
     S = _positive(spread - C.mean(axis=0)) if start is None else start / outer
     # Recordings of one operating point have equal rows of X, so sums over points need fewer operations.
     _, first, group = np.unique(X.reshape(n, -1), axis=0, return_index=True, return_inverse=True)
-    alike, distinct = group.ravel()[:, None] == np.arange(len(first)), X[first]
+    same_point, distinct = group.ravel()[:, None] == np.arange(len(first)), X[first]
     change, step = np.inf, 0
     while change >= _TOLERANCE and step < _MOST:
         step += 1
         inverse = np.linalg.inv(C + S)
-        coefficients, covariance = _by_point(y, distinct, alike, inverse)
+        coefficients, covariance = _by_point(y, distinct, same_point, inverse)
         residuals = y - X @ coefficients
         gain = S @ inverse
         b = np.einsum("ikl,il->ik", gain, residuals)
@@ -143,16 +143,16 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
         following = (b.T @ b + rest.sum(axis=0)) / n
         change = float(np.abs(following - S).max())
         S = 0.5 * (following + following.T)
-    coefficients, covariance = _by_point(y, distinct, alike, np.linalg.inv(C + S))
+    coefficients, covariance = _by_point(y, distinct, same_point, np.linalg.inv(C + S))
     return MixedFit(coefficients, covariance, S * outer, step, change < _TOLERANCE)
 
 
 def _by_point(
-    y: FloatArray, distinct: FloatArray, alike: BoolArray, inverse: FloatArray
+    y: FloatArray, distinct: FloatArray, same_point: BoolArray, inverse: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return generalised least-squares coefficients (m,) and their covariance, from sums over operating points."""
-    weights = np.einsum("ip,ikl->pkl", alike, inverse, optimize=True)
-    targets = np.einsum("ip,ikl,il->pk", alike, inverse, y, optimize=True)
+    weights = np.einsum("ip,ikl->pkl", same_point, inverse, optimize=True)
+    targets = np.einsum("ip,ikl,il->pk", same_point, inverse, y, optimize=True)
     transposed = distinct.transpose(0, 2, 1)
     covariance = _inverse((transposed @ (weights @ distinct)).sum(axis=0))
     return covariance @ np.einsum("pmk,pk->m", transposed, targets), covariance

@@ -339,11 +339,13 @@ def prefilter(
         variance = before[position].var(axis=0)
         share = np.where(variance > 0, 1 - after[position].var(axis=0) / np.where(variance > 0, variance, 1), 0.0)
         steps.append(f"run-out map ({runout_map.method}) of {', '.join(runout_map.sources)} subtracted from {position}")
-    for name, own in (answers or {}).items():
+    for name, response in (answers or {}).items():
         if name not in after or name == position:
             raise DataError(f"recording {rec.name!r}: answers names {name!r}; choose from {', '.join(before)}")
-        after[name] = _without_runout(rec, name, own, any_condition, notes)
-        steps.append(f"answer of the loop to run-out ({own.method}) of {', '.join(own.sources)} subtracted from {name}")
+        after[name] = _without_runout(rec, name, response, any_condition, notes)
+        steps.append(
+            f"answer of the loop to run-out ({response.method}) of {', '.join(response.sources)} subtracted from {name}"
+        )
     despiked = remove_spikes(after[position], measured=before[position])
     counts = tuple(len(samples) for samples in despiked.samples)
     if spikes:

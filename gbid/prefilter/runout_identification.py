@@ -544,12 +544,12 @@ def _simplest_of_the_best(trials: list[RunoutTrial]) -> RunoutTrial:
     """Return the simplest trial within one standard error of the best, by paired differences of mean squares."""
     squares = [np.sum(trial.fold_rms**2, axis=1) for trial in trials]
     best = min(squares, key=lambda m: float(m.mean()))
-    alike = []
+    candidates = []
     for trial, candidate in zip(trials, squares, strict=True):
         worse = candidate - best
         if worse.mean() <= worse.std(ddof=1) / np.sqrt(len(worse)):
-            alike.append((trial.n_parameters, float(candidate.mean()), trial))
-    return min(alike, key=lambda entry: entry[:2])[2]
+            candidates.append((trial.n_parameters, float(candidate.mean()), trial))
+    return min(candidates, key=lambda entry: entry[:2])[2]
 
 
 # ---- Alignment of recordings without encoder index: the run-out gives the offset of the shaft angle.

@@ -561,30 +561,30 @@ def characterise_staircase(
     table: dict[str, Any] = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
     u, p, number = table["input_mean"], table["output_mean"], table["recording"].astype(int)
-    moved = np.ptp(table["command"], axis=0) > _AT_REST * np.ptp(table["command"], axis=0).max()
-    if command != source and moved.size != u.shape[1]:
+    commanded = np.ptp(table["command"], axis=0) > _AT_REST * np.ptp(table["command"], axis=0).max()
+    if command != source and commanded.size != u.shape[1]:
         raise DataError(
-            f"recording {group[0].name!r}: {command} has {moved.size} channels, {source} has {u.shape[1]}; "
+            f"recording {group[0].name!r}: {command} has {commanded.size} channels, {source} has {u.shape[1]}; "
             "they must match"
         )
-    for name in (f"{source}_{c}" for c, m in zip(group[0].channels[source], moved, strict=True) if not m):
+    for name in (f"{source}_{c}" for c, m in zip(group[0].channels[source], commanded, strict=True) if not m):
         notes.append(DataNote.NOT_MOVED(f"no recording moves {name}, so its gains are not known"))
-    basis = np.hstack([u[:, moved], np.eye(len(group))[number]])
+    basis = np.hstack([u[:, commanded], np.eye(len(group))[number]])
     dof = len(basis) - basis.shape[1]
     if dof < 1 or np.linalg.matrix_rank(basis / np.abs(basis).max(axis=0)) < basis.shape[1]:
         raise DataError(
             f"{len(basis)} plateaus of {', '.join(rec.name for rec in group)} do not determine the gains of "
-            f"{moved.sum()} inputs and the offsets; record more steps, and inputs that do not move together"
+            f"{commanded.sum()} inputs and the offsets; record more steps, and inputs that do not move together"
         )
     solution = np.linalg.lstsq(basis, p, rcond=None)[0]
     residual = p - basis @ solution
     gain = np.full((p.shape[1], u.shape[1]), np.nan)
-    gain[:, moved] = solution[: moved.sum()].T
+    gain[:, commanded] = solution[: commanded.sum()].T
     per_panel: dict[str, Any] = _deviations(table, residual, u.shape[1], p.shape[1])
     return StaticMap(
         gain=gain,
-        covariance=_covariance(basis, residual, table["output_std"], moved, dof),
-        offset=solution[moved.sum() :],
+        covariance=_covariance(basis, residual, table["output_std"], commanded, dof),
+        offset=solution[commanded.sum() :],
         dof=dof,
         **per_panel,
         residual=residual,

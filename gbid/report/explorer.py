@@ -49,7 +49,10 @@ def explorer_part(model: LPVModel, source: str, designs: Sequence[tuple[str, Any
     points = model.operating_points or [[sum(ends) / 2 for ends in ranges]]
     spread = np.unique(np.linspace(0, len(points) - 1, _MOST_POINTS).round().astype(int))
     grids = [{"label": point_label(*point), **loop_grid(model, point, corner)} for point in (points[i] for i in spread)]
-    shown = [("no feedback", 0.0, 0.0), *((name, x, y) for name, x, y, own in buttons if own == corner)]
+    shown = [
+        ("no feedback", 0.0, 0.0),
+        *((name, x, y) for name, x, y, button_corner in buttons if button_corner == corner),
+    ]
     data = {"gains": GAINS.tolist(), "points": grids, "designs": shown, "cap": PEAK_SENSITIVITY}
     return Templated("explorer.html.j2", {"words": source, "corner": corner, "data": data})
 

@@ -102,13 +102,13 @@ def damping_map_data(
     damping = np.empty((n, n))
     for i, bar in enumerate(map(float, pressure)):
         for j, rpm in enumerate(map(float, speed)):
-            here = controller((bar, rpm)) if callable(controller) else controller
-            if here is None or sample_time is None:
+            law = controller((bar, rpm)) if callable(controller) else controller
+            if law is None or sample_time is None:
                 plant = model.plant_at(bar, rpm)
             else:
                 plant = sample_plant(exact_plant(model, bar, rpm), sample_time, sample_time)
-                here = sample_controller(here, sample_time, method)
-            damping[i, j] = smallest_damping(plant if here is None else close_loop(plant, here))
+                law = sample_controller(law, sample_time, method)
+            damping[i, j] = smallest_damping(plant if law is None else close_loop(plant, law))
     marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
     return DampingMap(pressure, speed, damping, marked, title)
 

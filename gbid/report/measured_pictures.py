@@ -516,19 +516,19 @@ def plot_static_map(result: StaticMap, ax: Sequence[Axes] | None = None) -> npt.
     (n_outputs, n_inputs) array of matplotlib Axes
         The axes; ``axes.flat[0].figure`` is the figure.
     """
-    moved = [int(j) for j in np.flatnonzero(np.isfinite(result.gain).all(axis=0))]
-    shape = len(result.output_names), len(moved)
-    width = TWO_COLUMNS if len(moved) > 1 else ONE_COLUMN
+    inputs = [int(j) for j in np.flatnonzero(np.isfinite(result.gain).all(axis=0))]
+    shape = len(result.output_names), len(inputs)
+    width = TWO_COLUMNS if len(inputs) > 1 else ONE_COLUMN
     figure, axes = panels(ax, *shape, size=(width, 0.4 + 2.0 * shape[0]), sharex="col", sharey="row")
     for panel, (i, j) in zip(axes, np.ndindex(shape), strict=True):
-        data, output, source = result.panel(i, moved[j]), result.output_names[i], result.input_names[moved[j]]
+        data, output, source = result.panel(i, inputs[j]), result.output_names[i], result.input_names[inputs[j]]
         line = 1e6 * data["line_input"], 1e6 * data["line_output"]
         panel.plot(*line, color=ink(), linewidth=0.9, label="straight line")
         rising = data["direction"] >= 0
         for chosen, marker, color, label in ((rising, "^", BLUE, "rising"), (~rising, "v", RED, "falling")):
             points: dict[str, Any] = {"color": color, "markersize": 4, "markerfacecolor": "none", "label": label}
             panel.plot(1e6 * data["input"][chosen], 1e6 * data["output"][chosen], marker, **points)
-        gain, rms = result.gain[i, moved[j]], 1e6 * result.rms[i, moved[j]]
+        gain, rms = result.gain[i, inputs[j]], 1e6 * result.rms[i, inputs[j]]
         text = f"$g_{{{output[-1]}{source[-1]}}}$ = {gain:z.3f} m/m, rms {rms:.2g} µm"
         panel.set_title(text, loc="right", pad=4, fontsize=8)
         if j == 0:

@@ -357,15 +357,15 @@ def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
         poles = poles_of_model.poles[keep]
         order = np.argsort(np.abs(poles))
         keep, poles = keep[order], poles[order]
-        own = _mode_shapes(as_uncertain(models[speed]).model, poles)
-        before = shapes if shapes.shape[1:] == own.shape[1:] else np.zeros((n, *own.shape[1:]), complex)
-        path = _followed(poles, own, last, before)
+        mode_shapes = _mode_shapes(as_uncertain(models[speed]).model, poles)
+        before = shapes if shapes.shape[1:] == mode_shapes.shape[1:] else np.zeros((n, *mode_shapes.shape[1:]), complex)
+        path = _followed(poles, mode_shapes, last, before)
         fresh = path < 0
         path[fresh] = np.arange(n, n + fresh.sum())
         n = max(n, int(path.max(initial=-1)) + 1)
-        known, (last, shapes) = len(last), (np.resize(last, (n, 2)), np.resize(before, (n, own.shape[1])))
+        known, (last, shapes) = len(last), (np.resize(last, (n, 2)), np.resize(before, (n, mode_shapes.shape[1])))
         last[path] = np.column_stack([poles, np.where(path < known, 2 * poles - last[path, 0], poles)])
-        shapes[path] = own
+        shapes[path] = mode_shapes
         paths.append(path)
         towards = np.column_stack([poles.real, poles.imag]) / np.abs(poles)[:, None]
         variance = np.einsum("ia,iab,ib->i", towards, poles_of_model.pole_covariance[keep], towards)
@@ -399,9 +399,9 @@ def _followed(poles: ComplexArray, shapes: ComplexArray, last: ComplexArray, bef
         Of each column the last pole and the one expected next, and the last shape.
     """
     path = np.full(len(poles), -1)
-    alike = np.abs(shapes.conj() @ before.T)
-    apart = np.abs(np.abs(poles)[:, None] / np.maximum(np.abs(last[:, 1]), 1e-300) - 1)
-    rows, columns = linear_sum_assignment(1 - alike + np.minimum(apart, 1.0))
+    likeness = np.abs(shapes.conj() @ before.T)
+    distance = np.abs(np.abs(poles)[:, None] / np.maximum(np.abs(last[:, 1]), 1e-300) - 1)
+    rows, columns = linear_sum_assignment(1 - likeness + np.minimum(distance, 1.0))
     path[rows] = columns
     return path
 

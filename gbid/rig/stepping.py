@@ -740,12 +740,12 @@ def stepped_motion(
         for begin in range(first, last, PIECE if along else _CHUNK):
             part = slice(begin, min(begin + PIECE, last) if along else last)
             grid = slice(2 * oversampling * (part.start - first), 2 * oversampling * (part.stop - first) + 1)
-            here = _at(arrays, along[begin // PIECE]) if along else arrays
+            constants = _at(arrays, along[begin // PIECE]) if along else arrays
             chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part], speed[part])
             rows[part] = (
-                run_steps(here, state, chunk)
+                run_steps(constants, state, chunk)
                 if program is None
-                else run_with_program(here, state, chunk, program.part(part))
+                else run_with_program(constants, state, chunk, program.part(part))
             )
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
     r, u, p, seen, stacks, volts, ended, radius, commands = columns

@@ -210,9 +210,9 @@ class Live:
         if self._results is not None and begin < self._free_s:
             return self._results
         look = self._seen()  # before the reading: what is made meanwhile is seen next time
-        late = begin > self._read_s + _ELSEWHERE_S
-        if self._results is None or late or look != self._look:
-            if late or look[0] != self._look[0]:  # else the keys of its recordings are kept
+        changed_since = begin > self._read_s + _ELSEWHERE_S
+        if self._results is None or changed_since or look != self._look:
+            if changed_since or look[0] != self._look[0]:  # else the keys of its recordings are kept
                 self._experiment = load_experiment(*self._where, announce=self._announce)
             self._results, self._look, self._read_s = Results(Job(self._experiment)), look, begin
             self._stages = {}

@@ -347,8 +347,10 @@ def exact_delays(structure: Any) -> tuple[RotorBearing | Plant, list[int]] | Non
     if isinstance(structure, Plant) and (inner := exact_delays(structure.bearing)):
         bearing, motion = inner
         assert isinstance(bearing, RotorBearing)
-        late = range(4) if "u" in structure.outputs else ()  # the actuators a second time, see `Plant.matrices`
-        return replace(structure, bearing=bearing), [*range(4), *late, *(4 + i for i in motion)]
+        delayed_inputs = (
+            range(4) if "u" in structure.outputs else ()
+        )  # the actuators a second time, see `Plant.matrices`
+        return replace(structure, bearing=bearing), [*range(4), *delayed_inputs, *(4 + i for i in motion)]
     if isinstance(structure, RotorBearing) and structure.pade_order is not None:
         return replace(structure, delay="exact", pade_order=None), [*range(4)]
     return None

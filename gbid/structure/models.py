@@ -315,15 +315,15 @@ class LinearModel(SampledSignals, Brief, Pictured):
         `gains`.
         """
         (n_y, n_u), added = self.D.shape, len(outputs)
-        onto = np.zeros((n_y, added))
-        onto[list(outputs), np.arange(added)] = 1.0
+        integrator_input = np.zeros((n_y, added))
+        integrator_input[list(outputs), np.arange(added)] = 1.0
         K, rest = np.zeros((self.n_states, n_y)) if self.K is None else self.K, np.zeros((added, n_u))
         return replace(
             self,
             A=scipy.linalg.block_diag(self.A, np.zeros((added, added))),
             B=np.vstack([self.B, rest]),
-            C=np.hstack([self.C, onto]),
-            K=np.vstack([K, np.asarray(gains)[:, None] * onto.T]),
+            C=np.hstack([self.C, integrator_input]),
+            K=np.vstack([K, np.asarray(gains)[:, None] * integrator_input.T]),
             B_delayed=None if self.B_delayed is None else np.vstack([self.B_delayed, rest]),
             state_names=(),
         )
@@ -634,10 +634,10 @@ def phase_in_degrees(model: LinearModel, frequency_hz: npt.ArrayLike) -> FloatAr
         As for `LinearModel.frequency_response`.
     """
     f = np.atleast_1d(np.asarray(frequency_hz, float))
-    late, turned = np.zeros(model.D.shape[1]), model
+    input_delays, turned = np.zeros(model.D.shape[1]), model
     if model.delay is not None and model.B_delayed is not None:
         alone = ~model.B.any(axis=0) & ~model.D.any(axis=0)
-        late = np.where(alone, model.delay, 0.0)
+        input_delays = np.where(alone, model.delay, 0.0)
         turned = replace(model, delay=np.where(alone, 0.0, model.delay))
     poles, own = model.poles(), frequency_grid(model)
     start = 1e-3 * float(min(own[own > 0].min(), f[f > 0].min(initial=np.inf)))
@@ -666,4 +666,4 @@ def phase_in_degrees(model: LinearModel, frequency_hz: npt.ArrayLike) -> FloatAr
     beyond = (np.degrees(np.angle(response[0])) - 90 * slope) % 360  # near 0 or 360, or near 180 for a negative gain
     first = 90 * slope + np.where(np.abs(beyond - 180) < 90, beyond - 360 * odd, (beyond + 180) % 360 - 180)
     phase = first + np.degrees(np.concatenate([np.zeros((1, *first.shape)), np.cumsum(steps, axis=0)]))
-    return np.asarray(phase[np.searchsorted(grid, f)] - 360 * f[:, None, None] * late)
+    return np.asarray(phase[np.searchsorted(grid, f)] - 360 * f[:, None, None] * input_delays)

@@ -418,13 +418,15 @@ class NonlinearModel(SampledSignals, Brief):
         sizes = (n + added, len(self.input_names), len(self.parameters))
         x, u, p = (ca.SX.sym("s", size) for size in sizes)
         dx, y = self.function(x[:n], u, p)
-        onto = np.zeros((len(self.output_names), added))
-        onto[list(outputs), np.arange(added)] = 1.0
-        function = ca.Function("equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(onto) @ x[n:]])
+        integrator_input = np.zeros((len(self.output_names), added))
+        integrator_input[list(outputs), np.arange(added)] = 1.0
+        function = ca.Function(
+            "equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(integrator_input) @ x[n:]]
+        )
         return replace(
             self,
             equations=function.serialize(),
-            K=np.vstack([self.K, np.asarray(gains)[:, None] * onto.T]),
+            K=np.vstack([self.K, np.asarray(gains)[:, None] * integrator_input.T]),
             state_names=(*self.state_names, *(f"offset_{self.output_names[output]}" for output in outputs)),
             working_state=np.concatenate([self.working_state, np.zeros(added)]),
             state_size=np.concatenate([self.state_size, np.ones(added)]),

@@ -113,15 +113,15 @@ class Schedule:
         ``(P - c)^i = sum_k comb(i, k) P^k (-c)^(i - k)``, a product over the variables. All lower terms are there.
         """
         m = len(self.exponents)
-        onto = np.zeros((m, m))
+        matrix = np.zeros((m, m))
         for column, of in enumerate(self.exponents):
             for row, to in enumerate(self.exponents):
                 if all(k <= i for k, i in zip(to, of, strict=True)):
-                    onto[row, column] = prod(
+                    matrix[row, column] = prod(
                         comb(i, k) * (-c) ** (i - k) / h**i
                         for i, k, c, h in zip(of, to, self.centre, self.half, strict=True)
                     )
-        return onto
+        return matrix
 
 
 def coefficient_names(key: str, n_terms: int) -> list[str]:

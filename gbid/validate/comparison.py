@@ -131,14 +131,14 @@ def compare(
     named = _named(models)
     if not named or not several:
         raise UsageError("compare needs at least one model and one recording")
-    own = {
+    scores_of = {
         name: [
             as_names(given) if given is not None else _signals(model, list(named.values()), kind, several[0])
             for kind, given in (("inputs", inputs), ("outputs", outputs))
         ]
         for name, model in named.items()
     }
-    labels_of = {name: select(several[0], signals[1])[1] for name, signals in own.items()}
+    labels_of = {name: select(several[0], signals[1])[1] for name, signals in scores_of.items()}
     shared = tuple(label for label in next(iter(labels_of.values())) if all(label in q for q in labels_of.values()))
     if not shared:
         each = "; ".join(f"{name!r} has {', '.join(labels)}" for name, labels in labels_of.items())
@@ -151,7 +151,7 @@ def compare(
         linear = model.linear_model if isinstance(model, FitResult) else model
         errors = []
         for k, recording in enumerate(several):
-            y, residuals = _simulated(name, model, recording, own[name])
+            y, residuals = _simulated(name, model, recording, scores_of[name])
             percent[i, k] = fit_percent(y, y - residuals)[columns]
             errors.append(residuals[:, columns])
         orders.append(linear.n_states)

@@ -408,8 +408,10 @@ def at_clock_of(fitted: Simulator, clock: float | FloatArray) -> Simulator:
 
     That of a fit to irregular times, or to frequency responses alone, has no sample time of its own.
     """
-    own = fitted.sample_time
-    return replace(fitted, sample_time=clock) if isinstance(clock, np.ndarray) or np.isnan(own).any() else fitted
+    sample_time = fitted.sample_time
+    return (
+        replace(fitted, sample_time=clock) if isinstance(clock, np.ndarray) or np.isnan(sample_time).any() else fitted
+    )
 
 
 def clock_of(recording: Recording) -> float | FloatArray:

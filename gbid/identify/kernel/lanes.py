@@ -231,8 +231,8 @@ def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray,
 def _feed(by_state: ca.Sparsity, by_theta: ca.Sparsity, through: BoolArray) -> str:
     """C code that subtracts the feedback of the error from the Jacobians with respect to state and theta."""
     lines = [
-        f"  {onto}[{column}*N + {i}] -= {entry}[{k}]*by_e[{row}*N + {i}];"
-        for entry, onto, sparsity in (("C", "by_x", by_state), ("D", "by_theta", by_theta))
+        f"  {argument}[{column}*N + {i}] -= {entry}[{k}]*by_e[{row}*N + {i}];"
+        for entry, argument, sparsity in (("C", "by_x", by_state), ("D", "by_theta", by_theta))
         for k, row, column in _entries(sparsity)
         for i in np.flatnonzero(through[:, row])
     ]

@@ -118,9 +118,9 @@ class LinearKernel(KernelOfLinear):
         across = slopes @ products.T
         full, columns = across + across.T, [each.column for each in moved]
         theta, mixed = np.zeros((n_p, n_p)), np.zeros((blocks.n_windows, n_p, n))
-        here = _by_parameters(v, back.sums)
+        adjoint = _by_parameters(v, back.sums)
         for each in moved:
-            change = (_by_parameters(each.v, back.sums) - here) / each.step
+            change = (_by_parameters(each.v, back.sums) - adjoint) / each.step
             theta[:, each.column] = full[:, each.column] + change
         by_start = np.add.reduceat((slopes @ free) @ linked.by_start[live], blocks.window_first)
         mixed[:, columns] = by_start[:, columns]

@@ -169,12 +169,12 @@ class NonlinearKernel(SampleKernel):
             H, g = np.where(usable[:, None, None], H, np.eye(H.shape[1])), np.where(usable[:, None], g, 0.0)
             diagonal = np.diagonal(H, axis1=1, axis2=2)
             ridge = damping[:, None] * (diagonal + 1e-9 * diagonal.sum(axis=1, keepdims=True)) + np.finfo(float).tiny
-            moved = starts - np.linalg.solve(H + ridge[:, :, None] * np.eye(H.shape[1]), g[:, :, None])[:, :, 0]
-            reached = squares(moved)
+            updated = starts - np.linalg.solve(H + ridge[:, :, None] * np.eye(H.shape[1]), g[:, :, None])[:, :, 0]
+            reached = squares(updated)
             better = np.array(reached < least, bool)
             fell = better & np.isfinite(least)
             fall = float(np.sum(least[fell] - reached[fell]))
-            starts = np.where(better[:, None], moved, starts)
+            starts = np.where(better[:, None], updated, starts)
             damping = np.where(better, damping / 10, damping * 10)
             least = np.minimum(least, reached)
             if fall <= _SETTLED * float(least[np.isfinite(least)].sum()) and better.mean() > 0.5:

@@ -332,15 +332,15 @@ def build_nonlinear_predictor(
     h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(eq.delayed))
     known = ca.vertcat(*(symbols[name] for name in others), shift, h)
     walking = disturbances.walking
-    onto = ca.SX(len(walking), n_y)
+    walk_feed = ca.SX(len(walking), n_y)
     for row, output in enumerate(walking):
-        onto[row, output] = gain_symbols[row] if gains else 0
+        walk_feed[row, output] = gain_symbols[row] if gains else 0
     holds = check_holds(intersample, eq.u.numel())
     acting = names_in(ca.veccat(eq.dx, eq.y))
     acts = [i for i in range(eq.u.numel()) if eq.u[i].name() in acting]
     prompt = tuple(i for i in acts if i not in eq.delayed)
     delays = eq.delay[list(eq.delayed), 0]
-    full_K = ca.sparsify(ca.vertcat(K, onto))
+    full_K = ca.sparsify(ca.vertcat(K, walk_feed))
     driven = acts or full_K.nnz() or disturbances.n_columns
     walks = tuple(range(len(free), len(free) + len(gains)))
     noise = kind_of(structure).anatomy().gain_only

@@ -450,10 +450,10 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
     """
     n, n_p = end_theta.shape[1:]
     if blocks.per_window == 1:
-        own = slice(blocks.n_windows)
+        windows = slice(blocks.n_windows)
         by_start = np.zeros((len(end_theta), n, n))
-        by_start[own] = np.eye(n)
-        return Linked(np.zeros_like(end_theta), by_start, end_theta[own], end_start[own])
+        by_start[windows] = np.eye(n)
+        return Linked(np.zeros_like(end_theta), by_start, end_theta[windows], end_start[windows])
     both = np.zeros((len(end_theta), n, n_p + n))
     both[blocks.window_first, :, n_p:] = np.eye(n)
     ends = np.zeros((blocks.n_windows, n, n_p + n))
@@ -526,14 +526,18 @@ class SampleKernel(Kernel):
     def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
         """Return the second-order term by finite differences of the gradient; see `Kernel`."""
         points = [v, *(each.v for each in moved)]
-        here, *after = (
+        first, *after = (
             self.trace_from(point, blocks, begin, [at.weight])[0].sums
             for point, begin in zip(points, self.begins(points, blocks, at.starts), strict=True)
         )
-        before, theta, mixed = _gradient(here, at.ends), np.zeros_like(here.hessian), np.zeros_like(here.hessian_mixed)
+        before, theta, mixed = (
+            _gradient(first, at.ends),
+            np.zeros_like(first.hessian),
+            np.zeros_like(first.hessian_mixed),
+        )
         for (j, step, _), (by_theta, by_start) in zip(moved, (_gradient(s, at.ends) for s in after), strict=True):
-            theta[:, j] = (by_theta - before[0]) / step - here.hessian[:, j]
-            mixed[:, j] = (by_start - before[1]) / step - here.hessian_mixed[:, j]
+            theta[:, j] = (by_theta - before[0]) / step - first.hessian[:, j]
+            mixed[:, j] = (by_start - before[1]) / step - first.hessian_mixed[:, j]
         return theta, mixed
 
     @abstractmethod

@@ -67,7 +67,7 @@ class Ties:
 
     def pieces(self, record: int) -> tuple[int, tuple[int, ...]]:
         """Return the number of a record's first piece, and the first samples of its other pieces."""
-        return sum(len(own) + 1 for own in self.edges[:record]), self.edges[record]
+        return sum(len(record_edges) + 1 for record_edges in self.edges[:record]), self.edges[record]
 
 
 def tie_of(
@@ -91,12 +91,12 @@ def tie_of(
     tuple of int
     (n_own, n_unknowns) array
     """
-    apart = [i for i, q in enumerate(predictor.free) if q.name in names]
+    columns = [i for i, q in enumerate(predictor.free) if q.name in names]
     others = [i for i, q in enumerate(predictor.free) if q.name not in names]
     rows, n_shared = [ties.names.index(predictor.free[i].name) for i in others], len(ties.shared)
-    seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in apart]
+    seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in columns]
     tie = np.zeros((len(predictor.free), len(seen)))
-    tie[apart, n_shared + np.arange(len(apart))] = 1.0
+    tie[columns, n_shared + np.arange(len(columns))] = 1.0
     tie[others, :n_shared] = ties.maps[piece][rows]
     return tuple(position[name] for name in seen), tie
 
@@ -397,17 +397,17 @@ def assemble(
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(unknown_records)}")
     if scopes or left_out or ties is not None:
         _check_names(data)
-    own = [q for q in first.free if ties is None or q.name not in ties.names]
+    untied = [q for q in first.free if ties is None or q.name not in ties.names]
     record_names: tuple[Mapping[str, str], ...] = tuple(
         {
             q.name: f"{q.name}[{group_name(record, scopes[q.name])}]"
             if q.name in scopes and len(data.records) > 1
             else q.name
-            for q in own
+            for q in untied
         }
         for record in data.records
     )
-    free = _all_free(own, record_names) if record_names else tuple(own)
+    free = _all_free(untied, record_names) if record_names else tuple(untied)
     if ties is not None:
         free = (*ties.shared, *free)
     position = {q.name: i for i, q in enumerate(free)}

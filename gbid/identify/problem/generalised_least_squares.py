@@ -293,14 +293,14 @@ def _elsewhere(
     likely = np.exp(scores - scores.max())
     rows = np.sqrt(likely / likely.sum())[1:, None] * np.array([point.z[:n] - minimum.z[:n] for point in points])
     best = max(points, key=lambda point: point.score)
-    apart, gain = _distance(minimum, best.z, n), minimum.score - best.score
+    distances, gain = _distance(minimum, best.z, n), minimum.score - best.score
     if gain > WEIGHTING.likely:
         return rows, ()
-    worst = int(np.argmax(apart))
+    worst = int(np.argmax(distances))
     text = (
         f"the likelihood has two maxima whose logarithms differ by {abs(gain):.2g}, which chance explains: "
-        f"{names[worst]} is {best.z[worst]:.6g} at the other one, {apart[worst]:.2g} standard deviations away; this is "
-        "the one reached from the start values, and intervals are widened by the other maxima"
+        f"{names[worst]} is {best.z[worst]:.6g} at the other one, {distances[worst]:.2g} standard deviations away; the "
+        "result is the maximum reached from the start values, and intervals are widened by the other maxima"
     )
     return rows, (FitNote.LIKELY_ELSEWHERE(text),)
 
@@ -410,8 +410,8 @@ def _score(normal: _Normal, filters: Sequence[Whitening]) -> float:
 def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:
     """Return the distance of a point's parameters from a minimum, in standard deviations, (n_theta,)."""
     variance = np.diag(_inverse(minimum.normal.hessian))[:n_theta]
-    moved = np.abs(z - minimum.z)[:n_theta]
-    return np.where(moved > 0, moved / np.sqrt(np.maximum(variance, np.finfo(float).tiny)), 0.0)
+    change = np.abs(z - minimum.z)[:n_theta]
+    return np.where(change > 0, change / np.sqrt(np.maximum(variance, np.finfo(float).tiny)), 0.0)
 
 
 def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
@@ -445,8 +445,8 @@ def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
         else:
             break
         C = _inverse(normal.hessian)
-        moved = z - before
-        if turn and _length(moved, normal) < WEIGHTING.settled:
+        change = z - before
+        if turn and _length(change, normal) < WEIGHTING.settled:
             status = FitStatus.CONVERGED
             break
     assert normal is not None

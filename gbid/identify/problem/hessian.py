@@ -200,14 +200,16 @@ def _moved(
     problem: Shooting, part: RecordGroup, theta: FloatArray, columns: Sequence[int], units: FloatArray
 ) -> list[Moved]:
     """Return predictors of a part with a finite-difference step in each of some parameters, within the bounds."""
-    here = np.array(part.own(theta), float)
-    points = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
+    local_theta = np.array(part.own(theta), float)
+    points = np.tile(local_theta, (len(columns) + 1, 1))  # the point itself is the first
     steps = []
     for row, j in zip(points[1:], columns, strict=True):
-        onto = np.eye(len(here))[j] if part.tie is None else np.abs(part.tie[j])
-        step = _DIFFERENCE * float((onto * units[part.index]).max())
-        step = min(step, _MOST * max(abs(float(here[j])), float((onto * problem.theta_scale[part.index]).max())))
-        steps.append(-step if here[j] + step > part.predictor.free[j].upper else step)
+        direction = np.eye(len(local_theta))[j] if part.tie is None else np.abs(part.tie[j])
+        step = _DIFFERENCE * float((direction * units[part.index]).max())
+        step = min(
+            step, _MOST * max(abs(float(local_theta[j])), float((direction * problem.theta_scale[part.index]).max()))
+        )
+        steps.append(-step if local_theta[j] + step > part.predictor.free[j].upper else step)
         row[j] += steps[-1]
     values = part.predictor.at_each(points)[1:]
     return [Moved(j, step, v) for j, step, v in zip(columns, steps, values, strict=True)]
@@ -247,9 +249,9 @@ class ExactHessian:
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
         """Return the Hessian entries at the solver's next point."""
-        problem, here = self._problem, self._problem.at(unknowns)
-        if not here.sweeps:
-            return np.asarray(lam_f * here.hessian)
+        problem, iterate = self._problem, self._problem.at(unknowns)
+        if not iterate.sweeps:
+            return np.asarray(lam_f * iterate.hessian)
         if self._calls % _REFRESH == 0:
             everything = self._calls >= _SLOW or neighbours(problem, unknowns) > _COLOURED
             self._everything = self._everything or everything
@@ -257,9 +259,9 @@ class ExactHessian:
         self._calls += 1
         convex = [
             left._replace(theta=held_up(left.theta, kept.theta)) if left.theta.any() else left
-            for left, kept in zip(self._left_out, gauss_newton_of(problem, here), strict=True)
+            for left, kept in zip(self._left_out, gauss_newton_of(problem, iterate), strict=True)
         ]
-        return np.asarray(lam_f * (here.hessian + entries_of(problem, convex)))
+        return np.asarray(lam_f * (iterate.hessian + entries_of(problem, convex)))
 
 
 def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
@@ -363,7 +365,7 @@ def left_out_columns(
 def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:
     """Return Hessian entries in the order of `Shooting.hessian_pattern`, summed over all parts."""
     theta = np.zeros((problem.n_theta, problem.n_theta))
-    for part, own in zip(problem.parts, left_out, strict=True):
-        theta[np.ix_(part.index, part.index)] += own.theta
-    nothing = [np.zeros((len(own.mixed), problem.n_states, problem.n_states)) for own in left_out]
-    return problem.hessian_entries(theta, [own.mixed for own in left_out], nothing)
+    for part, omitted in zip(problem.parts, left_out, strict=True):
+        theta[np.ix_(part.index, part.index)] += omitted.theta
+    nothing = [np.zeros((len(omitted.mixed), problem.n_states, problem.n_states)) for omitted in left_out]
+    return problem.hessian_entries(theta, [omitted.mixed for omitted in left_out], nothing)

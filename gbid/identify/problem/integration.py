@@ -130,11 +130,11 @@ def refinement(problem: Shooting, unknowns: FloatArray) -> Refinement:
     assert isinstance(predictor, NonlinearPredictor)
     finer = with_steps(problem, 2 * predictor.steps)
     try:
-        here = gauss_newton_step(problem, iterate, unknowns)
+        step_here = gauss_newton_step(problem, iterate, unknowns)
         step = gauss_newton_step(finer, finer.at(unknowns), unknowns)
     except (RuntimeError, ValueError):
-        here, step = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
-    return Refinement(step, step - here, in_standard_deviations(problem, iterate, step - here))
+        step_here, step = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
+    return Refinement(step, step - step_here, in_standard_deviations(problem, iterate, step - step_here))
 
 
 # ---- Linear model at the working point of a nonlinear fit, with derivatives with respect to the parameters.

@@ -632,10 +632,10 @@ class Shooting:
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
         """Pairs of parameters that occur in one part, upper triangle."""
-        meet = np.eye(self.n_theta, dtype=bool)
+        coupled = np.eye(self.n_theta, dtype=bool)
         for part in self.groups:
-            meet[np.ix_(part.index, part.index)] = True
-        rows, columns = np.nonzero(np.triu(meet))
+            coupled[np.ix_(part.index, part.index)] = True
+        rows, columns = np.nonzero(np.triu(coupled))
         return rows, columns
 
     @cached_property

@@ -167,25 +167,25 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
     point = [("x", vector), ("p", empty)]
 
     def held(x: FloatArray) -> FloatArray:
-        here = problem.at(x)
-        return np.concatenate([here.gaps, limits @ x[: problem.n_theta], here.extra_rows])
+        iterate = problem.at(x)
+        return np.concatenate([iterate.gaps, limits @ x[: problem.n_theta], iterate.extra_rows])
 
     def slopes(x: FloatArray, _p: FloatArray) -> list[FloatArray | float]:
-        here = problem.at(x)
-        return [held(x), np.concatenate([here.jacobian, bounds, here.extra_slopes.ravel()])[order]]
+        iterate = problem.at(x)
+        return [held(x), np.concatenate([iterate.jacobian, bounds, iterate.extra_slopes.ravel()])[order]]
 
     def cost(x: FloatArray) -> list[FloatArray | float]:
         value = np.nan
         try:
-            here = problem.at(x)
-            value = np.nan if trouble.too_far(float(np.abs(here.gaps).max(initial=0.0))) else here.cost
+            iterate = problem.at(x)
+            value = np.nan if trouble.too_far(float(np.abs(iterate.gaps).max(initial=0.0))) else iterate.cost
             return [value, held(x)]
         finally:
             trouble.points += not np.isfinite(value)
 
     def gradient(x: FloatArray, _p: FloatArray) -> list[FloatArray | float]:
-        here = problem.at(x)
-        return [here.cost, here.gradient]
+        iterate = problem.at(x)
+        return [iterate.cost, iterate.gradient]
 
     def second(x: FloatArray, _p: FloatArray, lam_f: FloatArray, lam_g: FloatArray) -> list[FloatArray | float]:
         entries = curvature(x, float(lam_f[0]), lam_g[:m])
@@ -264,11 +264,11 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray) -> float:
     return in_standard_deviations(problem, iterate, step)
 
 
-def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArray) -> float:
+def in_standard_deviations(problem: Shooting, iterate: Iterate, change: FloatArray) -> float:
     """Return the length of a step (n_unknowns,) in standard deviations, from the information at a point."""
     pattern, entries = problem.hessian_pattern, iterate.hessian
     twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
-    square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
+    square = float((twice * entries * change[pattern.rows] * change[pattern.columns]).sum())
     return float(np.sqrt(max(square, 0.0) * problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
@@ -528,9 +528,9 @@ class Watch:
         problem, limit = self.problem, TOLERANCES
         step = sigma = np.inf
         if self._previous is not None:
-            moved, n_theta = x - self._previous, problem.n_theta
-            step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
-            sigma = in_standard_deviations(problem, problem.at(x), moved)
+            change, n_theta = x - self._previous, problem.n_theta
+            step = float(np.linalg.norm(change[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
+            sigma = in_standard_deviations(problem, problem.at(x), change)
         gap = float(np.abs(g[: problem.n_gaps]).max(initial=0.0))
         if problem.extra is not None:
             gap = max(gap, problem.extra.violation(g[len(g) - len(problem.extra.size) :]))

@@ -516,8 +516,8 @@ def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
         v, columns = record.feedback
         which = np.flatnonzero(np.isin(columns, chosen))
         feedback = v, which, place[columns[which]]
-    onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
-    return Transform(onto, place[chosen], size, feedback, record.errors, record.counted)
+    spectrum = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
+    return Transform(spectrum, place[chosen], size, feedback, record.errors, record.counted)
 
 
 def _products(record: Transform) -> tuple[FloatArray, int]:
@@ -552,8 +552,8 @@ def _add_information(total: FloatArray, transform: Transform, model: ErrorModel)
     n_y = len(psi)
     lags = np.concatenate([np.eye(n_y)[None], -model.coefficients])
     inverse_root = scipy.linalg.solve_triangular(np.linalg.cholesky(model.innovation), np.eye(n_y), lower=True)
-    onto = inverse_root @ scipy.fft.rfft(lags, size, axis=0)
-    for row in onto.transpose(1, 2, 0):
+    whitened = inverse_root @ scipy.fft.rfft(lags, size, axis=0)
+    for row in whitened.transpose(1, 2, 0):
         filtered = scipy.fft.irfft(_filtered(psi, row), size)[:, model.order : n]
         total[np.ix_(columns, columns)] += filtered @ filtered.T
 
@@ -568,11 +568,11 @@ def _filtered(psi: ComplexArray, row: ComplexArray) -> ComplexArray:
 
 def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> ComplexArray:
     """Return ``L* W`` at each frequency, (n_y, n_y, n_frequencies), with half the power at frequency zero."""
-    onto = np.einsum("fba,bc->acf", model.root(size).conj(), weight, optimize=True)
-    onto[:, :, 0] /= np.sqrt(2)
+    weights = np.einsum("fba,bc->acf", model.root(size).conj(), weight, optimize=True)
+    weights[:, :, 0] /= np.sqrt(2)
     if size % 2 == 0:
-        onto[:, :, -1] /= np.sqrt(2)
-    return np.asarray(onto)
+        weights[:, :, -1] /= np.sqrt(2)
+    return np.asarray(weights)
 
 
 def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
@@ -581,5 +581,5 @@ def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diag(C)[columns], np.finfo(float).tiny))
     values, axes = np.linalg.eigh(C[np.ix_(columns, columns)] / np.outer(scale, scale))
     part = (scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))).T @ psi
-    moved = scipy.fft.irfft(part, size)[..., : len(transform.counted)].transpose(1, 2, 0)
-    return lag_products([moved[:, some] for some in _stretches(transform.counted)], longest)[0]
+    in_time = scipy.fft.irfft(part, size)[..., : len(transform.counted)].transpose(1, 2, 0)
+    return lag_products([in_time[:, some] for some in _stretches(transform.counted)], longest)[0]

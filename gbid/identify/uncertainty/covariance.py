@@ -189,17 +189,17 @@ def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) 
     shaped : (n_y, n_y) array, optional
         Another weight, for a second Gauss-Newton Hessian, which needs a pass of its own.
     """
-    problem, here = at.problem, at.problem.at_physical(at.theta, at.starts)
-    if not np.abs(here.gaps).max(initial=0.0) < _CLOSED:
+    problem, iterate = at.problem, at.problem.at_physical(at.theta, at.starts)
+    if not np.abs(iterate.gaps).max(initial=0.0) < _CLOSED:
         return None
-    passes = [here.sweeps]
+    passes = [iterate.sweeps]
     if shaped is not None:
         passes.append(tuple(problem.sweeps(problem.values(at.theta), at.starts, shaped)))
     by_part = zip(problem.parts, zip(*passes, strict=True), strict=True)
     sums = list(zip(*(by_segments(part.blocks, each) for part, each in by_part), strict=True))
     chains = _chains(at, sums[0])
     totals = [_total(at, each, chains) for each in sums]
-    totals[0] *= here.factor
+    totals[0] *= iterate.factor
     return Information(totals[0], totals[-1], None, ())
 
 
@@ -503,9 +503,11 @@ class Covariance(NamedTuple):
         """Return the covariances multiplied by factors for white and coloured residuals."""
         return self._replace(white=self.white * white, robust=self.robust * robust)
 
-    def along(self, onto: FloatArray) -> Covariance:
+    def along(self, projection: FloatArray) -> Covariance:
         """Return the covariances after a projection of the estimates by ``onto`` (n_p, n_p)."""
-        white, robust, curvature = (onto @ each @ onto.T for each in (self.white, self.robust, self.curvature))
+        white, robust, curvature = (
+            projection @ each @ projection.T for each in (self.white, self.robust, self.curvature)
+        )
         return self._replace(white=white, robust=robust, curvature=curvature)
 
     def widened(self, bias: FloatArray) -> Covariance:
@@ -552,16 +554,16 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
     shaped = weight @ (error_products / freedom) @ weight
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
-    alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
+    is_white = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
     if not problem.parts:
         nothing = np.zeros((n_p, n_p))
-        information, alike = Information(nothing, nothing, None, ()), False
+        information, is_white = Information(nothing, nothing, None, ()), False
     elif at.filters:
-        information, alike = _information_of(at, filtered_records(at), weight, shaped), False
+        information, is_white = _information_of(at, filtered_records(at), weight, shaped), False
     elif grows(at):
         information = _information_of(at, list(windowed_records(at)), weight, shaped)
     else:
-        other = None if alike else shaped
+        other = None if is_white else shaped
         left = None if modelled else information_of_last_pass(at, shaped=other)
         information = left or information_over_records(at, weight, shaped=other, observed=modelled)
 
@@ -573,7 +575,7 @@ def covariance(at: Estimate, error_products: FloatArray, held: BoolArray, *, col
     keep = np.concatenate([~held, estimated])
     kept = np.ix_(keep, keep)
     H = (information.hessian + known)[kept]
-    J_white = ((share * information.hessian if alike else information.shaped) + known * unit)[kept]
+    J_white = ((share * information.hessian if is_white else information.shaped) + known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     fixed = _along_constraints(at)[:, keep] / scale

@@ -149,8 +149,8 @@ def _delayed(task: FitTask, full: Structure, samples: float, _: float) -> FitTas
     if samples < 0 or m.feedback is not None:
         k = np.arange(max(record.n_samples for record in task.data.records))
         return _with_inputs(task, lambda u, _: np.interp(k[: len(u)] - samples, k[: len(u)], u))
-    late = samples * task.data.sample_time
-    later = m.delay + late if m.has_delay else ca.SX(ca.DM.ones(m.B.shape[1]) * late)
+    delay_s = samples * task.data.sample_time
+    later = m.delay + delay_s if m.has_delay else ca.SX(ca.DM.ones(m.B.shape[1]) * delay_s)
     part = {"A": m.A, "B": 0 * m.B, "B_delayed": m.B + m.B_delayed, "delay": later, "C": m.C, "D": m.D, "K": m.K}
     part |= {"x0": m.x0} if m.x0.numel() else {}
     at = ca.Function("delayed", [p], list(part.values()))

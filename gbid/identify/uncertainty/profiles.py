@@ -240,41 +240,41 @@ class Profiler:
         try:
             if direct and change:
                 x = start.unknowns + self._step(start.iterate, start.unknowns, move, box, ridge)
-            here = problem.at(x)
-            if not np.isfinite(here.cost):
+            iterate = problem.at(x)
+            if not np.isfinite(iterate.cost):
                 return None
             for _ in range(WALK.iterations if direct else 0):
-                step = self._step(here, x, still, box, ridge)
-                length = in_standard_deviations(problem, here, step)
+                step = self._step(iterate, x, still, box, ridge)
+                length = in_standard_deviations(problem, iterate, step)
                 if length < WALK.at_rest and ridge == WALK.ridge:
-                    return ConstrainedFit(x, here, here.cost - length**2 / to_ratio)
+                    return ConstrainedFit(x, iterate, iterate.cost - length**2 / to_ratio)
                 trial = problem.at(x + step)
-                if not (np.isfinite(trial.cost) if problem.n_gaps else trial.cost <= here.cost):
+                if not (np.isfinite(trial.cost) if problem.n_gaps else trial.cost <= iterate.cost):
                     ridge = max(10 * ridge, WALK.damped)
                     continue
-                at_rest = not problem.n_gaps and to_ratio * (here.cost - trial.cost) < WALK.at_rest**2
-                x, here, ridge = x + step, trial, max(ridge / 10, WALK.ridge)
+                at_rest = not problem.n_gaps and to_ratio * (iterate.cost - trial.cost) < WALK.at_rest**2
+                x, iterate, ridge = x + step, trial, max(ridge / 10, WALK.ridge)
                 if at_rest and ridge <= WALK.damped:
-                    return ConstrainedFit(x, here, here.cost)
+                    return ConstrainedFit(x, iterate, iterate.cost)
         except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
             pass
         solution = solve(replace(problem, box=box), x, FitArguments(max_iterations=50))
-        here = problem.at(solution.unknowns)
-        if problem.extra is not None and not problem.extra.violation(here.extra_rows) < WALK.feasible:
+        iterate = problem.at(solution.unknowns)
+        if problem.extra is not None and not problem.extra.violation(iterate.extra_rows) < WALK.feasible:
             return None
-        return ConstrainedFit(solution.unknowns, here, here.cost if solution.status.success else np.nan)
+        return ConstrainedFit(solution.unknowns, iterate, iterate.cost if solution.status.success else np.nan)
 
-    def _step(self, here: Iterate, x: FloatArray, move: FloatArray, box: Box, ridge: float) -> FloatArray:
+    def _step(self, iterate: Iterate, x: FloatArray, move: FloatArray, box: Box, ridge: float) -> FloatArray:
         """Return the step to the minimum of a quadratic model within a box; `move` are the first free unknowns."""
         problem = self.posed[0]
         pattern, slopes = problem.hessian_pattern, problem.jacobian_pattern
         beside = pattern.rows != pattern.columns
-        hessian = here.hessian * np.where(beside, 1.0, 1 + ridge)
+        hessian = iterate.hessian * np.where(beside, 1.0, 1 + ridge)
         below = np.where(beside, hessian * move[pattern.rows], 0.0)
-        gradient = here.gradient + np.bincount(pattern.rows, hessian * move[pattern.columns], len(x))
+        gradient = iterate.gradient + np.bincount(pattern.rows, hessian * move[pattern.columns], len(x))
         gradient += np.bincount(pattern.columns, below, len(x))
-        gaps = here.gaps + np.bincount(slopes.rows, here.jacobian * move[slopes.columns], len(here.gaps))
-        model = here._replace(hessian=hessian, gradient=gradient, gaps=gaps)
+        gaps = iterate.gaps + np.bincount(slopes.rows, iterate.jacobian * move[slopes.columns], len(iterate.gaps))
+        model = iterate._replace(hessian=hessian, gradient=gradient, gaps=gaps)
         return move + gauss_newton_step(problem, model, x, box)
 
     def spread(self, j: int) -> tuple[float, float]:

@@ -57,16 +57,16 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
     (lags + 1,) array
         Correlation at each lag.
     """
-    alike = first is second
+    same = first is second
     first = np.ascontiguousarray(first)
-    second = first if alike else np.ascontiguousarray(second)
+    second = first if same else np.ascontiguousarray(second)
     if lags <= _FEW:
         size = len(first)
         product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
     else:
         n = scipy.fft.next_fast_len(len(first) + lags + 1, real=True)
         ahead = scipy.fft.rfft(first, n)
-        behind = ahead if alike else scipy.fft.rfft(second, n)
+        behind = ahead if same else scipy.fft.rfft(second, n)
         product = scipy.fft.irfft(np.conj(ahead) * behind, n)[: lags + 1]
     scale = np.sqrt(float(first @ first) * float(second @ second))
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
@@ -183,8 +183,8 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     window = 1 - np.arange(most + 1) / (most + 1)
     of_residual = np.array([correlation(channel, channel, most) * window if most else [1.0] for channel in e])
     both = np.concatenate([of_residual[:, :0:-1], of_residual], axis=1)
-    apart = np.abs(np.arange(-most, most + 1)[:, None] + np.arange(lags + 1))
-    variance = np.einsum("yl,ulk->yuk", both, of_source[:, apart])
+    distance = np.abs(np.arange(-most, most + 1)[:, None] + np.arange(lags + 1))
+    variance = np.einsum("yl,ulk->yuk", both, of_source[:, distance])
     statistic, freedom = np.zeros((2, *scale.shape))
     for i in range(len(u)):
         for j in range(len(e)):
