@@ -168,13 +168,13 @@ class SignalMapping:
         given: Any = self.calibration
         is_list = isinstance(given, list | tuple)
         object.__setattr__(self, "calibration", tuple(map(_calibration, given)) if is_list else _calibration(given))
-        if self.hold and self.interpolate:
-            raise UsageError("hold and interpolate are both true; an input is one of them between its samples")
         if self.channels is not None:
             object.__setattr__(self, "channels", _words("channels", self.channels))
             if len(self.channels) != len(self.columns):
                 raise UsageError(f"{len(self.columns)} columns but {len(self.channels)} channels; give one name each")
         check_options(self)
+        if self.hold and self.interpolate:
+            raise UsageError("hold and interpolate are both true; an input is one of them between its samples")
         _ = self.calibrations  # its checks
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 import h5py
 import numpy as np
@@ -46,7 +46,9 @@ def signal_columns(
     UsageError
         When the frame has no such column.
     """
-    names = [str(name) for name in frame.columns]
+    names, given = [str(name) for name in frame.columns], cast(object, signals)
+    if given is not None and not isinstance(given, Mapping):
+        raise UsageError(f"signals: expected columns by signal, as {{'u': ['ux', 'uy']}}, found {given!r:.300}")
     if signals is None:
         grouped: dict[str, list[str]] = {}
         for name in names:
@@ -58,8 +60,8 @@ def signal_columns(
     else:
         named = {}
     values = {}
-    for key, given in signals.items():
-        columns = [given] if isinstance(given, str) else list(given)
+    for key, chosen in signals.items():
+        columns = [chosen] if isinstance(chosen, str) else list(chosen)
         if missing := [name for name in columns if name not in names]:
             raise UsageError(f"signal {key!r}: the frame has no column {missing[0]!r}; it has {', '.join(names)}")
         values[key] = np.column_stack([np.asarray(frame.iloc[:, names.index(name)]) for name in columns])

@@ -52,6 +52,7 @@ def test_prefixes_are_exact(letter, factor, unit):
         "giri/min",
         "giri",
         "tr/min",
+        "tr/mn",
         "tours/min",
         "cpm",
         "Umdrehungen/min",

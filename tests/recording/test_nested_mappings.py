@@ -1,5 +1,9 @@
 """Values from YAML and Python that repeat or contain themselves are refused at once."""
 
+import math
+
+import numpy as np
+import pandas as pd
 import pytest
 
 import gbid
@@ -42,3 +46,11 @@ def test_a_mapping_that_contains_itself(tmp_path, change):
     for door in (lambda: gbid.import_recording(path, mapping), lambda: ImportMapping(**mapping)):
         with pytest.raises(UsageError, match="in themselves"):
             door()
+
+
+def test_a_value_of_another_type_is_named():
+    mapping = {"time": "t", "signals": {"y": {"columns": ["a"], "hold": np.zeros((2, 2))}}}
+    with pytest.raises(UsageError, match="hold"):
+        ImportMapping.from_dict(mapping)
+    with pytest.raises(UsageError, match="signals: expected columns by signal"):
+        gbid.Recording.from_frame(pd.DataFrame({"a": [1.0, 2.0]}), math.nan, sample_time=1e-3)
