@@ -86,7 +86,7 @@ class StaticLoop(NamedTuple):
     def tuned(self, **options: Any) -> gbid.control.GainResult:
         """Design by `gbid.tune`."""
         w, u, z, y = (
-            [f"{name}{i}" for i in range(M.shape[axis])]
+            tuple(f"{name}{i}" for i in range(M.shape[axis]))
             for name, M, axis in (("w", self.B1, 1), ("u", self.B, 1), ("z", self.C1, 0), ("y", self.C, 0))
         )
         D = np.block([[self.D11, self.D12], [self.D21, np.zeros((len(y), len(u)))]])
@@ -243,8 +243,8 @@ def feedback_table(run: dict[str, Any]) -> str:
         norms = f"{q['norm']:.5g}", f"{best:g}", f"{100 * (q['norm'] / best - 1):.2f} %", f"{q['bfgs']:.5g}"
         rows.append((q["plant"], q["gains"], *norms, f"{q['cpu_s']:.2f}", f"{ratio:.2f}", q["status"]))
     q = run["chain"]
-    norms = f"{q['open']:.4g} without feedback to {q['norm']:.4g}"
-    words = f"Chain of {q['states']} states with two gains: {norms} in {q['cpu_s']:.1f} CPU s, {q['status']}"
+    change = f"{q['open']:.4g} without feedback to {q['norm']:.4g}"
+    words = f"Chain of {q['states']} states with two gains: {change} in {q['cpu_s']:.1f} CPU s, {q['status']}"
     return markdown(head, rows, under(run, words))
 
 

@@ -10,6 +10,8 @@ from gbid.control.tuning import solve
 from gbid.control.tuning.loops import Loops
 from gbid.control.tuning.peaks import exact_peaks
 from gbid.control.tuning.plane import Eigensystem
+from gbid.control.tuning.problem import GainProblem
+from gbid.control.tuning.search import GainSolution, SearchTask, search
 from gbid.core.arrays import FloatArray
 from tests.benchmarks.static_feedback import StaticLoop
 
@@ -47,9 +49,13 @@ def test_peaks_are_those_of_a_dense_grid(seed: int) -> None:
 
 
 def test_gradient_and_curvature_are_those_of_differences(monkeypatch: pytest.MonkeyPatch) -> None:
-    problems = []
-    search = solve.search
-    monkeypatch.setattr(solve, "search", lambda problem, task: (problems.append(problem), search(problem, task))[1])
+    problems: list[GainProblem] = []
+
+    def kept(problem: GainProblem, task: SearchTask) -> GainSolution:
+        problems.append(problem)
+        return search(problem, task)
+
+    monkeypatch.setattr(solve, "search", kept)
     NN17.tuned(evaluations=2)
     x, h = np.array([-0.3, 9.0]), 1e-4
     (problem,) = problems
