@@ -118,7 +118,7 @@ def test_a_notch_at_the_speed_is_in_series_with_its_axis():
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any], words: str):
     with pytest.raises(UsageError, match=words):
         controller_structure("PD", **options)
-    with pytest.raises(UsageError, match="all its gains move its poles"):
+    with pytest.raises(UsageError, match="each of its gains changes its poles"):
         controller_structure("observer", coupling="gyroscopic")
 
 

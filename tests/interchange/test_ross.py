@@ -324,7 +324,7 @@ def test_every_rotor_that_ross_ships_is_among_the_examples():
 def test_a_rotor_with_gears_and_a_random_one_are_refused():
     ross = ross_package("these tests")
     geared = __import__("ross.multi_rotor").multi_rotor.two_shaft_rotor_example()
-    with pytest.raises(UsageError, match=r"give each shaft as a ross\.Rotor of its own"):
+    with pytest.raises(UsageError, match=r"give each shaft as a separate ross\.Rotor"):
         gbid.export.from_ross(geared, sensors=[(0, "x")], actuators=[(1, "y")])
     random = __import__("ross.stochastic.st_rotor_assembly").stochastic.st_rotor_assembly.st_rotor_example()
     with pytest.raises(UsageError, match="a ST_Rotor is no rotor of ROSS"):
