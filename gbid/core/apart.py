@@ -10,7 +10,6 @@ opens no connection, and starts no program. It answers in JSON and the bytes of 
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import ctypes
 import dataclasses
@@ -31,6 +30,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from math import prod
+from multiprocessing.util import Finalize
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, NamedTuple, TypeVar
@@ -151,7 +151,7 @@ class ReaderProcess:
         self._child: subprocess.Popen[bytes] | None = None
         self._used = 0.0  # processor time [s] when it answered last
         self._packages = set[str]()  # imported when it could still write
-        self._folder = ""  # for its temporary files
+        self._folder = ""  # for temporary files of packages; none without packages
 
     def ask(
         self,
@@ -196,7 +196,7 @@ class ReaderProcess:
     def _ready_child(self) -> subprocess.Popen[bytes]:
         if self._child is None or self._child.poll() is not None:
             self._end()
-            self._folder = tempfile.mkdtemp(prefix="gbid-reader-")
+            self._folder = tempfile.mkdtemp(prefix="gbid-reader-") if self._packages else ""
             self._child = _started(self._folder)
         return self._child
 
@@ -210,7 +210,8 @@ class ReaderProcess:
         if child is None:
             return
         child.kill()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
         for pipe in (child.stdin, child.stdout):
             with contextlib.suppress(OSError):  # a request that the process did not read
                 if pipe is not None:
@@ -221,7 +222,7 @@ class ReaderProcess:
 @cache
 def _process(_owner: int) -> ReaderProcess:  # a forked process has another number: it starts one of its own
     process = ReaderProcess()
-    atexit.register(process.close)
+    Finalize(None, process.close, exitpriority=0)  # at the end of workers, too, where atexit is not called
     return process
 
 
@@ -254,7 +255,9 @@ def _started(folder: str) -> subprocess.Popen[bytes]:
 
 def _popen(folder: str) -> subprocess.Popen[bytes]:
     # Arrow would reserve a gigabyte of addresses, which counts as memory.
-    added = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system", **dict.fromkeys(_TEMPORARY, folder)}
+    added = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+    if folder:
+        added |= dict.fromkeys(_TEMPORARY, folder)
     return subprocess.Popen(
         [sys.executable, "-P", "-c", _START.format(_import_folders(), os.getpid())],
         stdin=subprocess.PIPE,
@@ -413,7 +416,7 @@ def serve(parent: int) -> None:
             for name in packages:
                 with contextlib.suppress(Exception):  # the reader tells it
                     import_module(name)
-            confine(tempfile.gettempdir())
+            confine(tempfile.gettempdir() if packages else "")
             _end_with(parent)
             is_new = False
         if folder is not None:
@@ -481,7 +484,8 @@ def _set(limits: ReaderLimits, session: dict[str, int]) -> None:
 def confine(folder: str) -> None:
     """Take from this process, for good, what a reader does not need; only on Linux, as far as its version has it.
 
-    It can then write only below `folder`, signal or trace no other process, open no connection, and start no program.
+    It can then write only below `folder` (nowhere without one), signal or trace no other process, open no connection,
+    and start no program.
     Threads that are there already keep their rights.
     """
     if sys.platform != "linux" or os.uname().machine not in _DENIED:
@@ -491,10 +495,12 @@ def confine(folder: str) -> None:
     if (version := library.syscall(444, None, 0, 1)) > 0:  # landlock_create_ruleset
         rights = ((1 << (13, 14, 15, 15, 16)[min(version, 5) - 1]) - 1) & ~0b1100  # all but reading
         ruled = struct.pack("QQQ", rights, 0b11, 0b11)[: 8 * (1 + (version >= 4) + (version >= 6))]
-        rules, own = library.syscall(444, ruled, len(ruled), 0), os.open(folder, os.O_PATH)
-        library.syscall(445, rules, 1, struct.pack("=Qi", rights, own), 0)  # landlock_add_rule
+        rules = library.syscall(444, ruled, len(ruled), 0)
+        if folder:
+            own = os.open(folder, os.O_PATH)
+            library.syscall(445, rules, 1, struct.pack("=Qi", rights, own), 0)  # landlock_add_rule
+            os.close(own)
         library.syscall(446, rules, 0)  # landlock_restrict_self
-        os.close(own)
         os.close(rules)
     architecture, denied = _DENIED[os.uname().machine]
     last = len(denied) + 5

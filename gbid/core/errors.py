@@ -39,7 +39,7 @@ class DataError(GbidError, ValueError):
 
 
 class NoSpaceError(DataError):
-    """The disk or the quota is full. Files that were already complete are kept."""
+    """The disk or the quota is full, or the drive fails. Files that were already complete are kept."""
 
 
 class NotConvergedError(GbidError):

@@ -22,7 +22,7 @@ from gbid.core.names import one_line
 _ENDING = ".part"
 _DAY = 86400.0
 _OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)(-(?P<begun>\d+))?\.[^.]*\.part$")
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # of the drive, and no item's own fault
 _IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tells it in words
 
 
@@ -168,7 +168,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _no_space(error: BaseException) -> BaseException | None:
-    """Return the error for a full disk, a full quota or a file above ``ulimit -f``; None for other errors.
+    """Return the error for a full or failing disk, a full quota or a file above ``ulimit -f``; None for other errors.
 
     It is the error or what that came from, because a library may fail again on its way out.
     """
@@ -255,7 +255,12 @@ def _host() -> str:
 
 def _cannot_write(path: Path, error: Exception) -> DataError:
     if full := _no_space(error):
-        if getattr(full, "errno", None) == errno.EFBIG:
+        said = _IN_WORDS.search(str(full))
+        number = int(said[1]) if said else getattr(full, "errno", None)
+        if number in (errno.EIO, errno.EROFS):
+            text = "repair or mount the drive and run again, what is complete is kept"
+            return NoSpaceError(f"{path}: cannot be written: {os.strerror(number)}; {text}")
+        if number == errno.EFBIG:
             text = "the file would be larger than this process may write (ulimit -f)"
             return NoSpaceError(f"{path}: cannot be written: {text}; raise the limit and run again")
         return NoSpaceError(

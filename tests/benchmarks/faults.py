@@ -124,7 +124,7 @@ def terms(case: Case, folder: Path, chance: random.Random, samples: int, tally: 
         process, log = command(case, folder)
         if ended(process, instant) is None:
             os.kill(process, signal.SIGTERM)
-            finish(process, log, f"{case.verb}, SIGTERM after {instant:.2f} s", tally, (-signal.SIGTERM, 143))
+            finish(process, log, f"{case.verb}, SIGTERM after {instant:.2f} s", tally, (130,))
         tally.counts["commands"] += 1
         finish(*command(case, folder), f"{case.verb}, after SIGTERM at {instant:.2f} s", tally)
         compare(case, folder, f"{case.verb}, SIGTERM after {instant:.2f} s", tally)

@@ -129,7 +129,12 @@ def test_a_limit_on_the_size_of_files_is_told_and_not_remembered(tmp_path, capsy
 
 @pytest.mark.parametrize(
     ("number", "words"),
-    [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "No space left in"), (errno.EDQUOT, "No space left in")],
+    [
+        (errno.EFBIG, "ulimit -f"),
+        (errno.ENOSPC, "No space left in"),
+        (errno.EDQUOT, "No space left in"),
+        (errno.EROFS, "mount the drive"),
+    ],
 )
 def test_a_full_disk_behind_the_failure_of_a_library_is_one(tmp_path, number, words):
     def write():

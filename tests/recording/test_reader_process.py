@@ -67,8 +67,10 @@ def test_what_a_library_does_is_an_error_of_the_file(file, reader, words, monkey
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux confines the reader process")
-def test_a_library_can_only_read(file):
-    assert read_apart(bad_readers.unlocked, file) == []
+@pytest.mark.parametrize("packages", [(), ("wave",)])
+def test_a_library_can_only_read(file, packages):
+    """Where it names packages, it has a folder for temporary files."""
+    assert read_apart(bad_readers.unlocked, file, bool(packages), packages=packages) == []
     assert file.read_bytes() == bytes(1000)
 
 

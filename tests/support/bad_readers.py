@@ -54,7 +54,7 @@ def ending(path):
     os._exit(7)
 
 
-def unlocked(path):
+def unlocked(path, has_folder):
     """Return what this process can do beyond reading, of what a hostile library would try."""
     trials = {
         "write": lambda: path.write_bytes(b"x"),
@@ -75,6 +75,8 @@ def unlocked(path):
         with contextlib.suppress(OSError):
             trial()
             done.append(name)
+    if not has_folder:
+        return done
     with tempfile.TemporaryFile() as own:
         own.write(b"x")
     return done
