@@ -145,7 +145,7 @@ def test_inputs_with_lines_of_their_own_share_a_recording():
         assert np.isnan(data.response[j::2, :, 1 - j]).all()
     together = np.tile((periods[0] + periods[1])[:, None], (5, 2))
     same = gbid.Recording({"u": together, "y": together}, h, channels={"u": ("x", "y")})
-    with pytest.raises(DataError, match="record as many as inputs"):
+    with pytest.raises(DataError, match="as many recordings"):
         gbid.measured_response(same, "u", "y", period_s=n * h)
 
 
