@@ -485,8 +485,7 @@ def confine(folder: str) -> None:
     """Take from this process, for good, what a reader does not need; only on Linux, as far as its version has it.
 
     It can then write only below `folder` (nowhere without one), signal or trace no other process, open no connection,
-    and start no program.
-    Threads that are there already keep their rights.
+    and start no program. Threads that are there already keep their rights.
     """
     if sys.platform != "linux" or os.uname().machine not in _DENIED:
         return
@@ -495,13 +494,13 @@ def confine(folder: str) -> None:
     if (version := library.syscall(444, None, 0, 1)) > 0:  # landlock_create_ruleset
         rights = ((1 << (13, 14, 15, 15, 16)[min(version, 5) - 1]) - 1) & ~0b1100  # all but reading
         ruled = struct.pack("QQQ", rights, 0b11, 0b11)[: 8 * (1 + (version >= 4) + (version >= 6))]
-        rules = library.syscall(444, ruled, len(ruled), 0)
-        if folder:
-            own = os.open(folder, os.O_PATH)
-            library.syscall(445, rules, 1, struct.pack("=Qi", rights, own), 0)  # landlock_add_rule
-            os.close(own)
-        library.syscall(446, rules, 0)  # landlock_restrict_self
-        os.close(rules)
+        if (rules := library.syscall(444, ruled, len(ruled), 0)) >= 0:
+            if folder:
+                own = os.open(folder, os.O_PATH)
+                library.syscall(445, rules, 1, struct.pack("=Qi", rights, own), 0)  # landlock_add_rule
+                os.close(own)
+            library.syscall(446, rules, 0)  # landlock_restrict_self
+            os.close(rules)
     architecture, denied = _DENIED[os.uname().machine]
     last = len(denied) + 5
     program = [
