@@ -277,10 +277,11 @@ class Ladder:
             status = tried[-1].result.status
             if status.success or status is FitStatus.SHAFT_AS_MODE:
                 break
-            if other := self._with_states_held(problem, tried[-1]):
-                return other
+            held = [other] if (other := self._with_states_held(problem, tried[-1])) else []
             if status is FitStatus.UNSTABLE_PREDICTOR and len(windows) > 1:
-                return self._bounded(self._with_gain_held(start, window), unstable=unstable)
+                held.append(self._bounded(self._with_gain_held(start, window), unstable=unstable))
+            if held:
+                return min(held, key=lambda attempt: (not attempt.result.success, attempt.loss))
         best = tried[-1] if tried[-1].result.success else min(tried, key=lambda attempt: attempt.loss)
         others = ", ".join(str(each.result.options.window) for each in tried if each is not best)
         text = f"windows of {others} samples did not converge; this is the result with {best.result.options.window}"
