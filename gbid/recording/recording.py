@@ -664,7 +664,7 @@ def _first_missing(values: FloatArray) -> str:
 
 def _is_finite(value: object) -> bool:
     """Return whether a value is one finite number: float, int, numpy scalar or 0-d array."""
-    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
+    if isinstance(value, list | tuple | dict) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
         return False
     return bool(np.isfinite(value))  # type: ignore[call-overload]
 

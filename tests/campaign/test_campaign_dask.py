@@ -90,6 +90,7 @@ def test_one_of_two_workers_is_killed(engine, tmp_path):
     with working(load_experiment(two), engine="serial") as job:
         outcomes = run_campaign(Job(job.experiment, reporter=listener, engine=engine))
     engine.client.unregister_worker_plugin("kill-worker")
+    engine.client.wait_for_workers(2)
     assert [o.state for o in outcomes] == ["made"] * 8
     ((number, *items),) = listener.lost
     assert number == 1

@@ -86,7 +86,7 @@ def test_independent_seeds_are_tried_and_the_words_say_how_many() -> None:
     many = gbid.tune(MODEL, starts=1, seeds=4, **options)
     assert len(set(many.seed_values)) > 1
     assert many.value == pytest.approx(max(many.seed_values), rel=1e-6)
-    assert many.optimality == "optimum, certified; the best of 4 independent searches, 4 of them within 2 %"
+    assert many.optimality == "local optimum, certified; the best of 4 independent searches, 4 of them within 2 %"
     alike = gbid.tune(MODEL, starts=1, seeds=6, operating_points=[(6, 0)], peak_sensitivity=2.0)
     assert len(alike.seed_values) == 3  # with the same design, which ends the others
 

@@ -311,7 +311,7 @@ def test_disturbance_of_a_recording() -> None:
     [
         (lambda: [PeakSensitivity(2.0)], "none of them is an objective"),
         (lambda: [MaxDamping(), 2.0], "give a list such as"),
-        (lambda: [MaxDamping(), MaxDecay()], "exclude each other"),
+        (lambda: [MaxDamping(), MaxDecay()], "either MaxDamping or MaxDecay"),
         (lambda: [MaxDamping(), PeakSensitivity(-1.0)], "positive number"),
         (lambda: [MaxDamping(), PeakSensitivity([(10.0, 1.0), (5.0, 2.0)])], "rising frequencies"),
         (lambda: [MaxDamping(), PeakControl(2.0, weight=3.0)], "give soft=True"),

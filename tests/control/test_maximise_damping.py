@@ -136,7 +136,7 @@ def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
         ((delayed_loop(1, 1), ["g"], 1, 0), "lower first"),
         ((delayed_loop(1, 1), ["g"], 0, np.inf), "finite"),
         ((delayed_loop(1, 1), ["g"], [0, 0], 1), "bounds .*one for each of 1 gains"),
-        ((delayed_loop(1, 1), ["g", "g"], 0, 1), "a name of its own"),
+        ((delayed_loop(1, 1), ["g", "g"], 0, 1), "a different name"),
         ((delayed_loop(1, 1), ["g"], 0, 1, "speed"), "objective"),
         ((["A"], ["g"], 0, 1), "give Function"),
         ((lambda g: g, ["g"], 0, 1), "give Function"),

@@ -92,7 +92,7 @@ def test_a_covariance_may_be_singular_but_not_negative() -> None:
     singular = direction @ direction.T
     root = root_of(singular)
     np.testing.assert_allclose(root @ root.T, singular, atol=1e-12)
-    with pytest.raises(UsageError, match="negative direction"):
+    with pytest.raises(UsageError, match="negative eigenvalue"):
         root_of(np.array([[1.0, 2.0], [2.0, 1.0]]))
     with pytest.raises(UsageError, match="symmetric"):
         Uncertainty(np.triu(np.ones((84, 84))))

@@ -111,7 +111,7 @@ STILL = "{goal: RmsPosition, limit_m: 1.0e-6, disturbance: stil}"
         ("[{goal: PeakControl, limit: -1}]", "goals[0]", "give a positive number"),
         ("[{goal: PeakControl, limit: [[9, 1], [5, 2]]}]", "goals[0]", "rising frequencies"),
         (f"[{{goal: PeakControl, limit: {IMPROPER}}}]", "goals[0]", "of a higher order than the denominator"),
-        ("[{goal: MaxDamping}, {goal: MaxDecay}]", "goals", "exclude each other"),
+        ("[{goal: MaxDamping}, {goal: MaxDecay}]", "goals", "either MaxDamping or MaxDecay"),
         ("[{goal: PeakSensitivity, limit: 2}]", "goals", "none of them is an objective"),
         ("[{goal: MaxDamping}], objective: decay", "objective", "write it as a goal, too"),
         (f"[{{goal: MaxDamping}}, {STILL}]", "goals[1].disturbance", "no recording 'stil'"),

@@ -153,7 +153,7 @@ def test_a_magnetic_bearing_in_its_loop_gives_its_stiffness_and_gain(tmp_path, c
     assert "no channel 'w'; it has r" in printed_by(capsys, "check", path, code=2).err
     (tmp_path / "own.yaml").write_text(BEARING.replace(", reference: r", ""))
     assert (
-        "'i' is an output of the frequency response 'loop' to r; say with reference"
+        "'i' is an output of the frequency response 'loop' to r; name the excitation of this loop (reference=...)"
         in printed_by(capsys, "check", path, code=2).err
     )
 

@@ -45,7 +45,7 @@ def test_without_its_option_p_python_itself_loads_importlib_before_it_comes_to_g
 def test_nor_by_the_reader_of_foreign_files(executed):
     path = executed.parent / "csv.py"
     with closing(ReaderProcess()) as reader:
-        assert reader.ask(limits_for(path), bad_readers.good, path, (1,)) == len(path.read_bytes())
+        assert reader.ask(limits_for(path), bad_readers.good, path, (1,), (), ()) == len(path.read_bytes())
     assert executed.read_text() == ""
 
 

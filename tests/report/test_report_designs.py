@@ -161,7 +161,7 @@ def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None
     monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     path = write_quick(tmp_path, text=STAIRS)
     early = static_section(paper().PaperResults(Job(load_experiment(path))), BlankPictures())
-    assert "static film not there; run `gbid static`" in early.blocks[0].text
+    assert "static film is missing; run `gbid static`" in early.blocks[0].text
     for verb in ("rig", "static"):
         assert command(verb, path) == 0
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")

@@ -127,7 +127,7 @@ def test_free_texts_cannot_leave_their_comment(tmp_path: Path) -> None:
 
 def test_maps_that_do_not_fit() -> None:
     three = replace(runout_map(), channels=("x", "y", "z"))
-    with pytest.raises(UsageError, match="has 3 channels, the controller 2; it was made with other sensors"):
+    with pytest.raises(UsageError, match="has 3 channels, the controller 2; it is of other sensors"):
         chain_of(design("P"), runout_maps=[three])
     broken = replace(runout_map(), mean=np.array([np.nan, 0.0]))
     with pytest.raises(UsageError, match="not finite; make it again"):
