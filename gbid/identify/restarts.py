@@ -6,7 +6,7 @@ no   start values                     windows                          gain   tr
 1    stated, or from the data         usual, half, four times as long  free   always, each where the last fails
 1a   as 1                             as 1                             held   where its predictor is almost unstable
 1b   solution of 1                    tenfold growth at most           free   where it runs away within its windows
-1c   from the data                    as 1, 1a, 1b                     free   where residuals of 1 are not white
+1c   from the data                    as 1, 1a, 1b                     free   where 1 is doubtful
 1d   as 1, gain of a steady observer  as 1, 1a, 1b                     free   in place of 1, where a mode of that lasts
 1e   as 1, with initial states held   as 1                             free   where any ends at the edge of stability
 2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1, 1c or 1d fails
@@ -202,8 +202,8 @@ def _best_attempt(task: FitTask) -> Attempt:
     first = ladder.in_turn(stated, windows[:1] if nonlinear else windows)
     attempts += [first] if first else []
     if first:
-        # a local minimum leaves something out as well; how little of it noise hides, a second start tells
-        good = first.good and (nonlinear or first.result.trusted == "white")
+        # a local minimum leaves something out as well
+        good = first.good and (nonlinear or first.result.trusted != "none")
         final = good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
         if final:
             return first
@@ -215,8 +215,6 @@ def _best_attempt(task: FitTask) -> Attempt:
         if other and other.result.success:
             text = "the fit began at values from the data, which led to a lower loss than the given ones"
             return _lowest([first, other.noted(FitNote.BEGUN_ELSEWHERE(text))])
-        if first.good and first.result.trusted != "none":
-            return first
     if (start := observer_start(task)) is not None:
         other, unstable = ladder.in_turn(start, windows), ""
         if other is None:  # the plant itself is unstable
