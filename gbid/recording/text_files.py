@@ -737,7 +737,8 @@ class TextTable:
         times = {i: each for i, each in times.items() if i + 1 not in times and i + 1 < len(self.headings)}
         if not times or all(_are_equal(times[min(times)], each) for each in times.values()):
             return {}
-        dates = {i: date_of(self.cells[0][i]) for i in times}
+        row = split_cells(self.rows[0].text, self.layout.delimiter)
+        dates = {i: date_of(row[i]) for i in times}
         if len(set(dates.values())) > 1:
             text = ", ".join(f"{self.headings[i]} on {date or 'no date'}" for i, date in dates.items())
             raise DataError(f"{self.path}: time columns begin on different dates: {text}; record channels together")
