@@ -290,7 +290,7 @@ def _answer(
 ) -> _Answer | None:
     """Send a request and return the answer of the reader process, of at most `most` bytes; None if that process ended.
 
-    Raises one of the errors `_INVALID` when the answer is not written as `_write_answer` writes it.
+    Raises one of the errors `_INVALID` when the answer is not written as `serve` writes it.
     """
     if child.stdin is None or child.stdout is None:
         return None
@@ -331,11 +331,10 @@ def _error(about: list[Any] | None) -> BaseException | None:
     if about is None:
         return None
     name, *arguments = about
-    kinds = {each.__name__: each for each in vars(errors).values() if isinstance(each, type)}
-    kind = kinds.get(name, DataError)
-    return (
-        OSError(*arguments) if name == "OSError" else (kind if issubclass(kind, GbidError) else DataError)(*arguments)
-    )
+    if name == "OSError":
+        return OSError(*arguments)
+    classes = [each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, GbidError)]
+    return {each.__name__: each for each in classes}.get(name, DataError)(*arguments)
 
 
 def _encoded(value: Any, arrays: list[npt.NDArray[Any]]) -> Any:
