@@ -1,14 +1,11 @@
 """Recordings of the virtual rig that pages take as examples."""
 
-import os
 import re
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
 import gbid
-from gbid.rig import Machine, Prbs, Scatter, SensorChain, Stationary, Unbalance, record
+from gbid.rig import Machine, Prbs, SensorChain, Unbalance, record
 from gbid.structure import KEY_PARAMETERS
 
 published = gbid.load_model("theisen2016")
@@ -48,6 +45,16 @@ def scattered_recordings():
     return recordings, points
 
 
+def compare_surfaces(fit):
+    """Print how often the surfaces of a fit lie within three standard deviations of the published ones."""
+    rng = np.random.default_rng(0)
+    pressure, speed = rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)
+    std = np.sqrt(np.einsum("nii->ni", fit.uncertainty_at(pressure, speed)))
+    estimates, true = (model.key_parameters(pressure, speed) for model in (fit.model, published))
+    error = np.stack([estimates[key] - true[key] for key in KEY_PARAMETERS], axis=-1)
+    print(f"within 3 standard deviations: {100 * np.mean(np.abs(error) < 3 * std):.1f} %")
+
+
 def six_recordings():
     """Three filtered recordings at each of two operating points."""
     recordings = []
@@ -60,21 +67,6 @@ def six_recordings():
             raw = record(machine, Prbs(1.0), conditions=conditions, seed=seed + int(10 * pressure), name=name)
             recordings.append(gbid.prefilter(raw)[0])
     return recordings
-
-
-def logger_files():
-    """Go to an empty folder and write the files of the first hour, as a data logger might write them."""
-    os.chdir(tempfile.mkdtemp())
-    Path("measured").mkdir()
-    header = ",".join([*(f"{signal}_{axis} [um]" for signal in "rup" for axis in "xy"), "angle [rad]"])
-    for seed, (pressure, speed) in enumerate((p, n) for p in (4.0, 5.0, 6.0) for n in (0.0, 3000.0, 6000.0)):
-        machine = Machine.from_parameters(published.key_parameters(pressure, speed), published.actuators)
-        conditions = {"pressure_bar": pressure, "speed_rpm": speed}
-        for kind, excitation in (("prbs1", Prbs(0.6)), ("prbs2", Prbs(0.6)), ("still1", Stationary(0.6))):
-            name = f"p{pressure:g}_n{speed:g}_{kind}"
-            made = record(machine, excitation, conditions=conditions, seed=seed, name=name, scatter=Scatter(0.2))
-            columns = [*(1e6 * made.signal(signal) for signal in "rup"), made.signal("phi")]
-            np.savetxt(f"measured/{name}.csv", np.hstack(columns), "%.7g", ",", header=header, comments="")
 
 
 def show(results, names=("k_xx", "d_xx", "tau_x")):

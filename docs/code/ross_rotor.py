@@ -10,6 +10,32 @@ ross = ross_package("this page")  # like `import ross`, without the messages of 
 steel = ross.Material(name="steel", rho=7810, E=211e9, G_s=81.2e9)
 sensors = [(0, "x"), (0, "y"), (6, "x"), (6, "y")]
 actuators = [(2, "x"), (2, "y")]
+true = {
+    "left": {
+        "kxx": 1.0e6,
+        "kxy": 1.5e5,
+        "kyx": -1.2e5,
+        "kyy": 0.8e6,
+        "cxx": 900.0,
+        "cxy": 40.0,
+        "cyx": -30.0,
+        "cyy": 1100.0,
+    },
+    "right": {
+        "kxx": 1.3e6,
+        "kxy": -0.8e5,
+        "kyx": 1.0e5,
+        "kyy": 1.1e6,
+        "cxx": 1500.0,
+        "cxy": -50.0,
+        "cyx": 60.0,
+        "cyy": 1300.0,
+    },
+}
+assumed = {
+    "left": {"kxx": 0.8e6, "kyy": 0.64e6, "cxx": 630.0, "cyy": 770.0},
+    "right": {"kxx": 1.63e6, "kyy": 1.38e6, "cxx": 1950.0, "cyy": 1690.0},
+}
 
 
 def rotor(left, right):

@@ -197,7 +197,7 @@ def recording_length(
             for i in quantities.matching((pattern,), "targets"):
                 std = wanted * abs(quantities.values[i]) if of_value else wanted
                 if not std > 0:
-                    raise UsageError(f"target of {quantities.names[i]}: its value is 0; give an absolute target")
+                    raise UsageError(f"{quantities.names[i]} is 0 and has no relative target; give an absolute one")
                 targets[quantities.names[i]] = min(std, targets.get(quantities.names[i], np.inf))
     if not targets:
         raise UsageError("no targets; give absolute or relative standard deviations by name")

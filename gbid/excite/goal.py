@@ -336,7 +336,7 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignG
     else:
         rows = quantities.matching((focus,) if isinstance(focus, str) else tuple(focus), "focus")
     if not rows:
-        raise UsageError("focus: nothing to estimate; name quantities")
+        raise UsageError("focus names no parameter; give one name or more, or leave focus out")
     slopes = quantities.slopes[rows]
     if len(rows) > 1 and np.linalg.matrix_rank(slopes / np.linalg.norm(slopes, axis=1)[:, None]) < len(rows):
         raise UsageError(

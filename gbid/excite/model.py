@@ -256,7 +256,7 @@ def _labels(signals: tuple[str, ...], count: int) -> list[str]:
     """Return channel labels such as ``p_x``; unknown signals with several channels get numbers."""
     per, labels = count // len(signals), list[str]()
     if per * len(signals) != count:
-        raise UsageError(f"{count} channels in the signals {', '.join(signals)}: they differ in number; name channels")
+        raise UsageError(f"{count} noises for the channels of {', '.join(signals)}; name channels instead of signals")
     for signal in signals:
         known = SIGNALS.get(signal)
         names = known.channels if known and len(known.channels) == per else tuple(str(i + 1) for i in range(per))

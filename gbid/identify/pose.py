@@ -236,7 +236,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments, *
     scheduled = kind_of(structure).scheduled
     courses = read_courses(scheduled, recordings) if scheduled else None
     if courses is not None and not inputs:
-        raise UsageError(f"{structure.name}: inputs=() is for structures with constant parameters")
+        raise UsageError(f"{structure.name}: scheduled parameters need inputs; leave inputs=() out")
     if not responses:  # which may show what recordings at rest do not
         check_inputs_suffice(structure, data, parameters, no_inputs=not inputs)
     names = [record.name for record in data.records]

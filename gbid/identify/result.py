@@ -499,7 +499,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             own = {name: values.pop(name) for name in vars(group).keys() & values}
             groups[each.name] = replace(group, **own)
         if values:
-            raise TypeError(f"a fit result has no field {', '.join(values)}")
+            raise TypeError(f"a fit result has no field {', '.join(values)}; see dir(result)")
         return FitResult(**groups)
 
     def noted(self, *notes: str) -> FitResult:

@@ -330,8 +330,8 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         accepted = list(islice(filter(within_bounds, draws), n))
         if len(accepted) < n:
             raise UsageError(
-                f"model {self.model.name!r}: {len(accepted)} of {_TRIES * n} draws are within the bounds of the "
-                "parameters; the surfaces are too uncertain to draw from (fix the delays in the fits, or record longer)"
+                f"model {self.model.name!r}: only {len(accepted)} of {_TRIES * n} draws are within the bounds of the "
+                "parameters; the fitted coefficients are too uncertain (fix the delays in the fits, or record longer)"
             )
         return [
             with_coefficients(self.model, names, coefficients, name=f"{self.model.name} {i}")

@@ -366,7 +366,7 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     """
     if mapping.time is None:
         if mapping.piece is not None:
-            raise UsageError(f"{path}: piece needs the time column, which shows the gaps; name it (time: ...)")
+            raise UsageError(f"{path}: piece chooses a part between gaps in time; name the time column (time: ...)")
         n = len(next(iter(columns.values())).values)
         return Clock(np.arange(n), untimed_sample_time(path, mapping, columns))
     time, unit_remark = times_of(path, mapping, mapping.time, columns)

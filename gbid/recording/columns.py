@@ -151,8 +151,8 @@ def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_
         raise DataError(f"{where} {name} has one dimension; leave the index out: {name}")
     if shape[0] < shape[1] and not is_part:
         raise DataError(
-            f"{where} {name} has {shape[0]} samples of {shape[1]} channels along axis {axis}; the axis of time is the "
-            f"longer one: give axis: {1 - axis} if the channels are stored the other way"
+            f"{where} {name}: {shape[0]} samples of {shape[1]} channels along axis {axis}; fewer samples than "
+            f"channels: give axis: {1 - axis} if the channels lie along axis {1 - axis}"
         )
     if index >= shape[1]:
         raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")

@@ -259,7 +259,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
         if ("delay" in values) != ("B_delayed" in values):
             raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
         if "delay" in values and self.dt is not None:
-            raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
+            raise UsageError(f"model {self.name!r}: a sampled model has no exact delays; leave delay out")
         if self.intersample is not None:
             if self.dt is not None:
                 raise UsageError(f"model {self.name!r} is discrete: intersample is for continuous time only")

@@ -204,7 +204,7 @@ WRONG = {
     "small B_delayed": ({"B_delayed": [[1.0, 2.0]], "delay": [0.1, 0.1]}, r"B_delayed has shape \(1, 2\), expected"),
     "negative": ({"B_delayed": LATE, "delay": [0.1, -0.1]}, "delays cannot be negative"),
     "not finite": ({"B_delayed": LATE, "delay": [0.1, np.nan]}, "delay holds entries that are not finite"),
-    "discrete": ({"B_delayed": LATE, "delay": DELAY, "dt": 0.1}, "exact delays are possible in continuous time only"),
+    "discrete": ({"B_delayed": LATE, "delay": DELAY, "dt": 0.1}, "a sampled model has no exact delays"),
 }
 
 

@@ -80,7 +80,7 @@ def test_drawn_models_have_the_covariance_and_stay_within_the_bounds(fits):
     tight = replace(
         surfaces, model=replace(surfaces.model, structure=gbid.LinearStructure("r", narrow, ROTOR.matrices))
     )
-    with pytest.raises(UsageError, match="0 of 40 draws are within the bounds"):
+    with pytest.raises(UsageError, match="only 0 of 40 draws are within the bounds"):
         tight.draw(2, seed=0)
 
 

@@ -612,7 +612,7 @@ def test_an_archive_with_a_variable_twice_is_refused(tmp_path):
         ({"samples": [5, 5]}, "samples = (5, 5); give the first and the end, which lies after it"),
         ({"samples": [0, 5], "from_s": 1.0}, "samples is given beside from_s"),
         ({"from_s": 2.0, "to_s": 1.0}, "to_s = 1.0; give a time after from_s"),
-        ({"piece": 1}, "piece needs the time column"),
+        ({"piece": 1}, "piece chooses a part between gaps in time"),
         ({"encoding": "klingon"}, "encoding: 'klingon' is not known"),
         ({"decimal": ";"}, "decimal = ';'; give '.', ',' or None"),
         ({"delimiter": "::"}, "delimiter = '::'; give one character"),

@@ -23,7 +23,7 @@ from pathlib import Path
 
 IN_SOURCE = (
     *("README.md", "CHANGELOG.md", "LICENSE", "CONTRIBUTING.md", "SECURITY.md", "CITATION.cff", "Makefile"),
-    *("requirements.txt", "docs/index.md", "docs/conf.py", "docs/first-hour.md", "tests/conftest.py", "gbid/py.typed"),
+    *("requirements.txt", "docs/index.md", "docs/conf.py", "docs/import.md", "tests/conftest.py", "gbid/py.typed"),
     *("models/theisen2016.yaml", "experiments/quickstart.yaml", "tests/benchmarks/fit_speed.py"),
 )
 """Files that the source archive must have."""

@@ -896,7 +896,11 @@ def _result(
     names = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
     notes = []
     if not solved.converged:
-        notes.append(ControlNote.SOLVER_STOPPED(f"the solver stopped: {solved.message}"))
+        notes.append(
+            ControlNote.SOLVER_STOPPED(
+                f"the solver stopped before it converged ({solved.message}); give start=, or use a longer decay"
+            )
+        )
     if doubles:
         text = f"{doubles} double hit(s); the free response is taken from the end of the last pulse"
         notes.append(ControlNote.DOUBLE_HIT(text))

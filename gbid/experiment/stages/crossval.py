@@ -403,7 +403,7 @@ def _write_table(job: Job, part: Path, name: str) -> None:
         remember_failure(job, result, Failure(result.key, "data", text))
     if not rows:
         first = next(iter(failed.values()))
-        raise DataError(f"no model can be validated; the first of {len(failed)} pairs: {first}")
+        raise DataError(f"all {len(failed)} pairs of model and recording failed, the first because of: {first}")
     write_csv(plain_table(COLUMNS, rows, _NOTES), part)
 
 

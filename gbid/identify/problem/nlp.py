@@ -258,7 +258,7 @@ def extra_notes(problem: Shooting, unknowns: FloatArray) -> tuple[str, ...]:
                 f"[{low * size:.6g}, {high * size:.6g}]"
             )
         elif not np.isnan(distance) and low < high:
-            notes.append(f"the constraint {name} is active: standard deviations hold as if it were known to be so")
+            notes.append(f"the constraint {name} is active: standard deviations take it as an exact equation")
     return tuple(notes)
 
 
