@@ -91,7 +91,7 @@ COMMON = tuple(field.name for field in fields(CommonOptions))
 
 
 def with_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds common options to a verb: the named options, or all if no name is given.
+    """Return a decorator that adds common options to a command: the named options, or all if no name is given.
 
     The verb receives them as one value, ``options``; its errors become messages and exit codes.
     """

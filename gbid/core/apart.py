@@ -462,7 +462,7 @@ def _outcome(
 
 
 def _set(limits: ReaderLimits, session: dict[str, int]) -> None:
-    """Set the limits of this process for the next file, never above the limits of the session."""
+    """Set the limits of time and memory of the reader process for the next file, at most those of the user."""
     try:
         import resource
     except ImportError:

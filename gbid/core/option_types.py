@@ -400,7 +400,7 @@ def _only(test: Callable[[Any], bool]) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Return a numpy number as a Python number; ValueError for whole numbers that no array holds."""
+    """Return a numpy number as a Python number; ValueError for an integer beyond 64 bits."""
     if type(value) is int and abs(value) >= 1 << 63:
         raise ValueError
     return value.item() if isinstance(value, np.generic | np.ndarray) and value.ndim == 0 else value

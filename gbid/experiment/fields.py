@@ -266,7 +266,7 @@ def _location(data: Any, fault: ErrorDetails) -> Location:
 
 
 def _ways(data: Any, keys: Location) -> Iterator[tuple[Location, Any]]:
-    """Yield location and value of each path through the data along a subsequence of keys."""
+    """Yield location and value of entries of nested data at the keys, in order; keys without an entry are skipped."""
     if not keys:
         yield (), data
         return

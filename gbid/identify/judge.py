@@ -278,7 +278,7 @@ class Judged:
 
     @property
     def kind(self) -> StdKind:
-        """Kind of covariance that the fit trusts."""
+        """Kind of covariance that gives the standard deviations: "white", "robust" or "none"."""
         return "robust" if self.residuals.coloured else "white"
 
     @cached_property

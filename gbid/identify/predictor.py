@@ -91,7 +91,7 @@ class GeneralPredictor(ABC):
 
     @property
     def _has_impulse(self) -> bool:
-        """Whether an impulse is a regressor: for parameter-dependent initial states, and as zeros for a free decay."""
+        """Whether an impulse at the first sample is a regressor: for initial states that depend on parameters."""
         driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.terms
         return self.released or not driven
 

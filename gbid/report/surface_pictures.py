@@ -184,7 +184,7 @@ def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None
 
 
 def fit_over_pressure_data(fit: LPVFit, what: Quantity, *, sample_time: float = 2e-4) -> list[PressurePanel]:
-    """Return delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
+    """Return delays, modes or static gains of surfaces and single fits, for `plot_over_pressure` (Figs. 14 to 18).
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def _made(outcomes: Sequence[Outcome], *stages: str) -> list[Outcome]:
 
 
 def results_view(key: str, values: Callable[[Job, Sequence[Outcome]], Iterable[tuple[Row, Any]]]) -> View:
-    """Return the view of results with methods `document` and `tables`.
+    """Return the view of a stage whose results have the methods `document` and `tables`.
 
     Parameters
     ----------

@@ -231,7 +231,7 @@ class ValidationSummary(Brief, Pictured, hdf5.InFile):
         return [Table(title, columns, rows, [f"failed: {text}" for text in self.failed])]
 
     def figures(self) -> list[Figure]:
-        """Return histograms of the fit percent; none for few pairs."""
+        """Return histograms of the fit percent over all pairs of model and recording; none for few pairs."""
         means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(self.output_names, self.mean, strict=True))
         caption = f"Histograms of the cross-validation fit, means {means}"
         return [Figure("plot_fit_histogram", caption, (self,))] if self.n_pairs >= _FEWEST_DRAWN else []

@@ -238,7 +238,7 @@ class RingProblem:
         return _powers(scipy.linalg.expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
 
     def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
-        """Return the derivatives of `free` with respect to the parameters of K and D, shape (8, n, 2, 4)."""
+        """Return derivatives of the free responses with respect to stiffness and damping, shape (8, n, 2, 4)."""
         slopes = np.zeros((N_MECHANICAL, n, 2, 4))
         A, step = self.matrix(theta), self.rate * self.sample_time
         for i in range(N_MECHANICAL):

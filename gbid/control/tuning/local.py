@@ -230,7 +230,7 @@ def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Seq
 def _coalescence_slopes(
     problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState] = ()
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gradient of the weighted means and power sums of a step's clusters, and of each power sum."""
+    """Gradient of the step's objective over clusters of coalescent eigenvalues, and gradients of their power sums."""
     states, slope, rows = states or problem.states(x), np.zeros_like(x), []
     for coalescence in step.group:
         mean = coalescence.mean

@@ -368,7 +368,7 @@ class Plants(ABC):
     @property
     @abstractmethod
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
+        """Slowest decay rate [1/s] of each plant, over the oscillatory modes that feedback can move."""
 
     @abstractmethod
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, Sequence[str]]:
@@ -458,7 +458,7 @@ class LpvPlants(Plants):
 
     @cached_property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
+        """Slowest decay rate [1/s] of each plant, over the oscillatory modes that feedback can move."""
         every = (self.lpv, *self.others)
         return tuple(
             min(slowest_mode(lpv.at(float(P), float(Omega)).poles(), self.unmoved) for lpv in every)
@@ -567,7 +567,7 @@ class ModelPlants(Plants):
 
     @property
     def slowest(self) -> tuple[float, ...]:
-        """Slowest decay [1/s] of each open loop over its oscillatory modes that some gain moves."""
+        """Slowest decay rate [1/s] of each plant, over the oscillatory modes that feedback can move."""
         return tuple(slowest_mode(model.poles(), self.unmoved) for model in self.models)
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:

@@ -1,4 +1,4 @@
-"""Cross-validation stage, choice of the nominal actuator, and checks of the figures of fits."""
+"""Cross-validation stage, choice of the nominal actuator, and checks of the fits that the section `figures` names."""
 
 from __future__ import annotations
 

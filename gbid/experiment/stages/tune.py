@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
-    """Yield problems of the structure, model, gains, goals and operating points of each design."""
+    """Yield errors in the structure, model, gains, goals and operating points of each design."""
     for name, section in experiment.spec.controller.items():
         for where, text in _design_problems(experiment, section):
             yield ("controller", name, *where), text

@@ -55,7 +55,7 @@ class GapKernel(KernelOfLinear, PortablePasses):
 
 
 class _Step(NamedTuple):
-    """Step of one sample for many blocks side by side.
+    """One sample of the predictor for many blocks of samples at once: next states, outputs, derivatives.
 
     Attributes
     ----------

@@ -105,6 +105,6 @@ def flat(values: FloatArray) -> FloatArray:
 
 
 def grouped(values: FloatArray, blocks: Blocks) -> FloatArray:
-    """Return (length, n_groups * lanes, n) values as groups of blocks, (n_groups, length, n, lanes)."""
+    """Return values of all blocks, (length, n_blocks, n), in groups of `lanes` blocks, (n_groups, length, n, lanes)."""
     length, _, n = values.shape
     return np.ascontiguousarray(values.reshape(length, -1, blocks.lanes, n).transpose(1, 0, 3, 2))
