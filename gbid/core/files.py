@@ -54,9 +54,9 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name), suffix=_ENDING)
+        os.close(handle)
     except OSError as error:
         raise _cannot_write(path, error) from None
-    os.close(handle)
     part = Path(name)
     try:
         yield part
@@ -71,7 +71,8 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
             raise
         raise _cannot_write(path, error) from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # already moved, or on a failing disk: `remove_stale_parts` removes it later
+            part.unlink()
 
 
 def refuse_links(folder: Path) -> None:

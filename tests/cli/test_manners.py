@@ -12,6 +12,7 @@ import textwrap
 import time
 import weakref
 from functools import partial
+from pathlib import Path
 
 import casadi as ca
 import pytest
@@ -147,6 +148,18 @@ def test_a_full_disk_behind_the_failure_of_a_library_is_one(tmp_path, number, wo
     with pytest.raises(NoSpaceError, match=words):
         write()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_temporary_file_that_cannot_be_removed_hides_no_error(tmp_path, monkeypatch):
+    def refuse(path, **_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with (
+        pytest.raises(NoSpaceError, match=r"figure\.pdf: cannot be written: Input/output error; repair"),
+        atomic_path(tmp_path / "figure.pdf", overwrite=False) as part,
+    ):
+        refuse(part)
 
 
 @pytest.mark.parametrize("system", ["with interval timers", "Windows"])
