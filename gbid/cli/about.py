@@ -23,16 +23,10 @@ def check(
     from gbid.cli.stages import next_step
     from gbid.core.tables import file_size
     from gbid.experiment.experiment import changed_files
-    from gbid.experiment.load import find_data_problems
-    from gbid.experiment.stages.importing import find_import_problems
+    from gbid.experiment.load import check_experiment
 
     loaded = options.load(experiment)
-    problems, code, (needed, free) = find_data_problems(loaded)
-    reported = "\n".join(problems)
-    for planned, text, severity in find_import_problems(loaded) if loaded.spec.imported and not quick else ():
-        if text not in reported:
-            problems.append(f"{loaded.file.position(planned.location)}: {text}")
-            code = max(code, severity)
+    problems, code, (needed, free) = check_experiment(loaded, quick)
     print_notes(changed_files(loaded))
     for text in problems:
         tell(f"gbid: error: {text}")

@@ -68,8 +68,8 @@ class YamlFile:
         return f"{self.path}:{line + 1}:{column + 1}"
 
 
-def read_yaml(path: Path) -> YamlFile:
-    """Read a YAML file whose top level is a mapping.
+def read_yaml(path: Path, text: str | None = None) -> YamlFile:
+    """Read a YAML file whose top level is a mapping, or a text in place of its content.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def read_yaml(path: Path) -> YamlFile:
     try:
         if path.exists() and not path.is_file():
             raise UsageError(f"{path}: is not a file; give the name of one")
-        content = path.read_bytes()
+        content = path.read_bytes() if text is None else text.encode()
         if len(content) > _LARGEST:
             raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into separate files")
         if _open_brackets(content) > _BRACKETS:
@@ -143,6 +143,38 @@ def with_changes(file: YamlFile, changes: Sequence[str]) -> YamlFile:
             raise UsageError(f"--set {change}: the value is not valid YAML; write it as in the file") from None
         _change(data, keys, value)
     return replace(file, data=data)
+
+
+def text_with(text: str, changes: Sequence[tuple[Sequence[str | int], Any]]) -> str:
+    """Return a YAML text with some values replaced; comments, order and quotes of all others stay.
+
+    Parameters
+    ----------
+    text : str
+        A YAML text that `read_yaml` accepts.
+    changes : sequence of (location, value)
+        Keys on the way to each value, and the value; None removes the key. Missing sections are created.
+    """
+    yaml = YAML(typ="rt")
+    yaml.width, yaml.preserve_quotes = 4096, True
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    tree, written = yaml.load(text), StringIO()
+    for location, value in changes:
+        node = tree
+        for key in location[:-1]:
+            if isinstance(node, dict) and node.get(key) is None:
+                node[key] = CommentedMap()
+                node[key].fa.set_flow_style()
+            node = node[key]
+        key = location[-1]
+        if value is None:
+            node.pop(key, None)
+        elif key in node or not node:
+            node[key] = _styled(value)
+        else:  # before the last key, which holds the empty lines and comments after the section
+            node.insert(len(node) - 1, key, _styled(value))
+    yaml.dump(tree, written)
+    return written.getvalue()
 
 
 def _change(data: Any, keys: str, value: Any) -> None:

@@ -29,6 +29,7 @@ from gbid.experiment.recordings import mapping_of
 from gbid.experiment.run import has_section
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages import registry
+from gbid.experiment.stages.importing import find_import_problems
 from gbid.experiment.structures import fit_disturbances, structure_or_none
 from gbid.experiment.user_code import forget_failures, new_code
 from gbid.identify.problem.states import initial_states
@@ -97,6 +98,7 @@ def load_experiment(
     changes: Sequence[str] = (),
     announce: Callable[[str], None] | None = None,
     form_only: bool = False,
+    text: str | None = None,
 ) -> Experiment:
     """Return the experiment of a file, after all checks that are possible before a run.
 
@@ -112,6 +114,8 @@ def load_experiment(
         Told in one line of each Python file with equations whose content is new to this user, before it is executed.
     form_only : bool
         Whether to check keys, types and ranges alone; nothing that the file names is then read or executed.
+    text : str, optional
+        Text in place of the content of the file.
 
     Returns
     -------
@@ -125,7 +129,7 @@ def load_experiment(
     """
     path = given_path(path)
     try:
-        file = read_yaml(path)
+        file = read_yaml(path, text)
     except UsageError as error:
         position, _, text = str(error).partition(": ")
         raise ExperimentError([Problem(position, "", text)]) from None
@@ -380,6 +384,23 @@ def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, i
     path = experiment.results.absolute()
     folder = next(folder for folder in (path, *path.parents) if folder.is_dir())
     return int(needed), shutil.disk_usage(folder).free
+
+
+def check_experiment(experiment: Experiment, quick: bool = False) -> tuple[list[str], int, tuple[int, int]]:
+    """Return the problems of an experiment's recordings, those of their signals among them unless `quick`.
+
+    Returns
+    -------
+    problems, exit_code, sizes
+        As `find_data_problems` returns.
+    """
+    problems, code, sizes = find_data_problems(experiment)
+    reported = "\n".join(problems)
+    for planned, text, severity in find_import_problems(experiment) if experiment.spec.imported and not quick else ():
+        if text not in reported:
+            problems.append(f"{experiment.file.position(planned.location)}: {text}")
+            code = max(code, severity)
+    return problems, code, sizes
 
 
 def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:
