@@ -16,11 +16,14 @@ from gbid.cli.about import bench, check, doctor, explain, schema
 from gbid.cli.files import clean, export, init, new, peek
 from gbid.cli.options import HELP, RESULTS, STAGE_VERBS, STAGES, START, GroupedCommands, examples
 from gbid.cli.results import compare, diff, show
-from gbid.cli.verbs import batch, fit, paper, report, run, serve, stage_verb
+from gbid.cli.verbs import batch, fit, open_folder, paper, report, run, serve, stage_verb
 
 _STAGES = {name: fit if name == "fit" else stage_verb(name) for name in STAGE_VERBS}  # `fit` has options of its own
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
-    START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "tune": _STAGES["tune"]},
+    START: {
+        "open": open_folder,
+        **{"init": init, "new": new, "peek": peek, "check": check, "run": run, "tune": _STAGES["tune"]},
+    },
     RESULTS: {
         "show": show,
         "diff": diff,
@@ -43,6 +46,8 @@ HIDDEN: dict[str, Callable[..., None]] = {
 EXAMPLES = """\
 gbid init measured
 gbid init measured rig3 --speed 6000
+gbid open measured --browser
+gbid open measured rig3 --port 0
 gbid new rig1
 gbid new --list
 gbid new rig2 --template own-recordings

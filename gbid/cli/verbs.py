@@ -1,4 +1,4 @@
-"""Verbs that run stages or show results: `gbid run`, `fit`, `batch`, `report`, `paper`, `serve`, verbs of sections."""
+"""Verbs that run stages or show pages: `gbid run`, `fit`, `batch`, `report`, `paper`, `open`, `serve`, and stages."""
 
 from __future__ import annotations
 
@@ -193,11 +193,44 @@ def paper(
     conclude("paper", loaded, options, outcomes, document, tables, lines)
 
 
+_PORT = typer.Option("--port", metavar="N", help="Port of this machine; 0 for any free one.")
+
+
+@with_options("debug")
+def open_folder(
+    measured: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
+    ],
+    options: CommonOptions,  # noqa: ARG001
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="[DIR]", help="Folder of the experiment.", show_default="FOLDER-experiment, here"),
+    ] = None,
+    port: Annotated[int, _PORT] = 8471,
+    browser: Annotated[bool, typer.Option("--browser", help="Open the page in the browser.")] = False,
+) -> None:
+    """Show a folder of recordings as a page of this machine, and make an experiment of it. Ctrl-C ends it."""
+    import webbrowser
+
+    from gbid.cli.printing import tell_line
+    from gbid.serve import open_bench
+
+    server, bench = open_bench(measured, folder or Path(f"{measured.resolve().name}-experiment"), port, tell_line)
+    with server:
+        typer.echo(f"open: {server.address}")
+        if browser:
+            webbrowser.open(server.address)
+        try:
+            server.serve_forever()
+        finally:
+            bench.close()
+
+
 @with_options("results", "debug")
 def serve(
     experiment: ExperimentPath,
     options: CommonOptions,
-    port: Annotated[int, typer.Option("--port", metavar="N", help="Port of this machine; 0 for any free one.")] = 8471,
+    port: Annotated[int, _PORT] = 8471,
     browser: Annotated[bool, typer.Option("--browser", help="Open the report in the browser.")] = False,
 ) -> None:
     """Show the results as pages on this machine; they follow a running campaign. Ctrl-C ends it."""

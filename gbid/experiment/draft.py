@@ -273,11 +273,10 @@ def list_folder(options: DraftOptions) -> FolderContent:
     folder = options.folder
     if not folder.is_dir():
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
-    listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    measured = [path for path in listed if not path.name.startswith("._")]
-    known = [path for path in measured if format_of_ending(path.suffix.lower())]
+    measured = measured_files(folder)
+    known = any(format_of_ending(path.suffix.lower()) for path in measured)
     channels, errors = {}, {}
-    for path in known or filter(format_of, measured):
+    for path in measured:
         try:
             channels[path] = list_channels(path, options.text_of(path))
         except DataError as error:
@@ -286,8 +285,19 @@ def list_folder(options: DraftOptions) -> FolderContent:
         raise DataError("\n".join(_in_options(str(error)) for error in errors.values()))
     if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
-    others = tuple(path.name for path in listed if path not in channels and path not in errors)
+    others = tuple(path.name for path in _files(folder) if path not in channels and path not in errors)
     return FolderContent(channels, {} if known else errors, errors if known else {}, others)
+
+
+def measured_files(folder: Path) -> list[Path]:
+    """Return the files of a folder with the ending of a format; without any, those that may be text."""
+    measured = [path for path in _files(folder) if not path.name.startswith("._")]
+    known = [path for path in measured if format_of_ending(path.suffix.lower())]
+    return known or [*filter(format_of, measured)]
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
 
 
 def _in_options(text: str) -> str:

@@ -128,7 +128,8 @@ const Charts = (() => {
   }
 
   // spec: {title, x, y, height, series: [{name, style, x, y | low, high}], points: [{name, style, kind, x, y}], rays: [damping],
-  //        cells: {edges, values, name}, pick(x, y): called with the place of a click}
+  //        cells: {edges, values, name}, pick(x, y): called with the place of a click,
+  //        used: [from, to] along x, outside of which the plane is shaded, drag(from, to): called with a dragged range of x}
   // An axis: {label, min, max, log, atLeast, atMost}; what is missing follows from the data.
   function draw(host, spec) {
     host.replaceChildren();
@@ -183,6 +184,34 @@ const Charts = (() => {
         const box = svg.getBoundingClientRect();
         const along = (axis, place, from, to) => axis.min + ((place - from) / (to - from)) * (axis.max - axis.min);
         spec.pick(along(xAxis, event.clientX - box.left, MARGIN.left, right), along(yAxis, event.clientY - box.top, bottom, MARGIN.top));
+      });
+    }
+    const part = (from, to, className) => {
+      const [a, b] = [from, to].map((v) => Math.min(right, Math.max(MARGIN.left, v)));
+      return node(svg, "rect", { x: a, y: MARGIN.top, width: Math.max(0, b - a), height: bottom - MARGIN.top, class: className });
+    };
+    if (spec.used) {
+      part(MARGIN.left, sx(spec.used[0]), "unused");
+      part(sx(spec.used[1]), right, "unused");
+    }
+    if (spec.drag) {
+      const place = (event) => event.clientX - svg.getBoundingClientRect().left;
+      const value = (x) => Math.min(xAxis.max, Math.max(xAxis.min, xAxis.min + ((x - MARGIN.left) / (right - MARGIN.left)) * (xAxis.max - xAxis.min)));
+      svg.addEventListener("pointerdown", (down) => {
+        const start = place(down);
+        let shown = null;
+        svg.setPointerCapture(down.pointerId);
+        const range = (event) => [start, place(event)].sort((a, b) => a - b);
+        svg.onpointermove = (event) => {
+          shown?.remove();
+          shown = part(...range(event), "dragged");
+        };
+        svg.onpointerup = (event) => {
+          svg.onpointermove = svg.onpointerup = null;
+          shown?.remove();
+          const [a, b] = range(event);
+          if (b - a > 4) spec.drag(value(a), value(b));
+        };
       });
     }
     const middle = (MARGIN.top + bottom) / 2;

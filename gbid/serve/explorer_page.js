@@ -53,7 +53,7 @@
   async function solve() {
     const mine = ++latest;
     try {
-      const answer = await fetch(`/loop?${query()}`);
+      const answer = await fetch(`loop?${query()}`);
       const text = await answer.text();
       if (mine !== latest) return; // an answer to older gains
       if (!answer.ok) throw new Error(text);

@@ -18,7 +18,7 @@
 
   async function ask() {
     try {
-      const answer = await fetch("/state");
+      const answer = await fetch("state");
       if (!answer.ok) throw new Error(await answer.text());
       const state = await answer.json();
       words.textContent = told(state.stages);

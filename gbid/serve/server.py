@@ -1,4 +1,4 @@
-"""Local web server of the results: report, campaign state and gain explorer."""
+"""Local web server: its rules, and the pages of results with campaign state and gain explorer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from hashlib import sha256
+from hmac import compare_digest
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from inspect import signature
 from io import BufferedReader, RawIOBase
 from math import inf, isfinite
 from pathlib import Path
+from secrets import token_urlsafe
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
@@ -306,7 +309,7 @@ _FOLLOW = "</body>"
 
 def report_page(live: Live) -> str:
     """Return the report with a status line of the campaign."""
-    added = environment(_own).get_template("follow.html.j2").render(script=_follow())
+    added = environment(own_part).get_template("follow.html.j2").render(script=_follow())
     return live.page().replace(_FOLLOW, f"{added}\n{_FOLLOW}")
 
 
@@ -319,7 +322,7 @@ def explorer_page(live: Live) -> str:
         When there is no design.
     """
     designs = [_described(design) for design in live.designs().values()]
-    template = environment(_own).get_template("explorer_page.html.j2")
+    template = environment(own_part).get_template("explorer_page.html.j2")
     return template.render(
         name=live.name,
         designs=designs,
@@ -328,15 +331,48 @@ def explorer_page(live: Live) -> str:
     )
 
 
+def result_pages(live: Callable[[], Live]) -> dict[str, Answer]:
+    """Return the answers of results by name: report, explorer, state of the campaign, loops and curves of fits."""
+    return {
+        "report": (HTML, lambda _: report_page(live())),
+        "explorer": (HTML, lambda _: explorer_page(live())),
+        "state": (JSON, lambda _: json.dumps(live().state())),
+        "loop": (JSON, lambda query: _loop(live(), query)),
+        CURVES: (_SCRIPT, lambda query: live().curves(query[BELOW].removesuffix(".js"))),
+    }
+
+
+def _loop(live: Live, query: dict[str, str]) -> str:
+    """Return the closed loop of a design as JSON for the operating point and gains in a query."""
+    designs = live.known_designs()
+    del query[BELOW]
+    name = query.pop("design", next(iter(designs)))
+    if name not in designs:
+        raise UsageError(f"no design {name!r}; choose from {', '.join(designs)}")
+    axis, sampled = query.pop("axis", "x"), query.pop("sampled", "0") == "1"
+    try:
+        numbers = {key: float(value) for key, value in query.items()}
+        point = numbers.pop("pressure_bar"), numbers.pop("speed_rpm")
+    except (ValueError, KeyError) as error:
+        raise UsageError(f"loop: {error}; give pressure_bar, speed_rpm and gains as numbers") from None
+    return json.dumps(explored_loop(designs[name], Explored(*point, numbers, axis, sampled)))
+
+
 def _follow() -> Markup:
-    return script(_own("follow.js"))
+    return script(own_part("follow.js"))
 
 
 def _explore() -> Markup:
-    return script(page_part("charts.js"), _own("explorer_page.js"))
+    return script(page_part("charts.js"), own_part("explorer_page.js"))
 
 
-def _own(name: str) -> str:
+def bench_script() -> Markup:
+    """Return the script of the page of `gbid open`."""
+    return script(page_part("charts.js"), own_part("bench.js"))
+
+
+def own_part(name: str) -> str:
+    """Return the text of a template, script or style sheet of this package."""
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
@@ -370,16 +406,26 @@ def _control(name: str, label: str, unit: str, low: float, high: float, value: f
     return {"name": name, "label": label, "unit": unit, "low": low, "high": high, "step": step, "value": value}
 
 
+# ---- Server and its rules: this machine only, a token in the address, limits of time and threads.
+
 CURVES = "report_curves"
 """Path below which the page asks for curves of fits."""
+BELOW = ""
+"""Key of the query with the path below the name of an answer."""
+HTML, JSON, _SCRIPT = "text/html; charset=utf-8", "application/json", "text/javascript; charset=utf-8"
+Answer = tuple[str, Callable[[dict[str, str]], str]]
+"""Type of the content, and function from the query to the text."""
+Action = Callable[..., Any]
+"""Function from the keys of the JSON document that a page sends to the document that it gets."""
 HOST = "127.0.0.1"
 _OWN = ("127.0.0.1", "localhost")  # a request to another name comes from a page of another site
 THREADS = 16
 """Requests that are answered at a time: a browser opens at most six connections to a server."""
 PATIENCE_S = 10.0
 """Time for a client to send its whole request, and to take the whole answer [s]; it is on this machine."""
-# All of a page is in the page itself; it asks this server for states, loops and curves of fits only. Scripts in a page
-# are those of gbid, by their digests.
+_LONGEST = 8 << 20  # bytes of a document that a page sends
+# All of a page is in the page itself; it asks this server for data only. Scripts in a page are those of gbid, by their
+# digests.
 _POLICY = (
     "default-src 'none'; script-src 'self' {digests}; style-src 'unsafe-inline'; img-src 'self' data:; "
     "font-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -388,29 +434,30 @@ _POLICY = (
 
 @cache
 def _policy() -> str:
-    texts = (script_of_page(), _follow(), _explore())
+    texts = (script_of_page(), _follow(), _explore(), bench_script())
     digests = (b64encode(sha256(text.encode()).digest()).decode() for text in texts)
     return _POLICY.format(digests=" ".join(f"'sha256-{digest}'" for digest in digests))
 
 
-_HTML, _JSON, _SCRIPT = "text/html; charset=utf-8", "application/json", "text/javascript; charset=utf-8"
-
-
 class Server(ThreadingHTTPServer):
-    """HTTP server for the pages of one experiment.
+    """HTTP server for the pages of one folder or experiment, for those who know its token.
 
     Attributes
     ----------
     address : str
-        Address of the report.
+        Address of the first page, with the token.
     """
 
     daemon_threads = True
     request_queue_size = 128  # with Python's 5 the system lets a burst of connections wait for seconds
 
-    def __init__(self, *given: Any) -> None:
+    def __init__(self, port: int, pages: Mapping[str, Answer], actions: Mapping[str, Action] | None = None) -> None:
         self._free = threading.BoundedSemaphore(THREADS)
-        super().__init__(*given)
+        self._token = token_urlsafe(16)
+        try:
+            super().__init__((HOST, port), partial(_Handler, self._token, pages, actions or {}))
+        except (OSError, OverflowError) as error:
+            raise UsageError(f"port {port}: {error}; choose another with --port") from None
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer a request in a new thread; beyond `THREADS` connections the client is told to retry."""
@@ -440,8 +487,8 @@ class Server(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Web address of the report."""
-        return f"http://{HOST}:{self.server_address[1]}/"
+        """Web address of the first page."""
+        return f"http://{HOST}:{self.server_address[1]}/{self._token}/"
 
 
 def open_server(
@@ -471,10 +518,8 @@ def open_server(
         When the YAML has problems, or when the port is not free.
     """
     live = Live(experiment, results, announce)
-    try:
-        return Server((HOST, port), partial(_Handler, live))
-    except (OSError, OverflowError) as error:
-        raise UsageError(f"port {port}: {error}; choose another with --port") from None
+    pages = result_pages(lambda: live)
+    return Server(port, {"": pages["report"], **pages})
 
 
 class _UntilDeadline(RawIOBase):
@@ -493,14 +538,14 @@ class _UntilDeadline(RawIOBase):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers to GET requests: report, explorer, state and loops. Nothing is written; file names are not served."""
+    """Answers of pages and data to GET, of actions to POST, below the token. File names are not served."""
 
     server_version = "gbid"
     sys_version = ""
     timeout = PATIENCE_S
 
-    def __init__(self, live: Live, *given: object) -> None:
-        self._live = live
+    def __init__(self, token: str, pages: Mapping[str, Answer], actions: Mapping[str, Action], *given: object) -> None:
+        self._token, self._pages, self._actions = token, pages, actions
         super().__init__(*given)  # type: ignore[arg-type]  # request, address and server, from socketserver
 
     def setup(self) -> None:
@@ -512,55 +557,64 @@ class _Handler(BaseHTTPRequestHandler):
         self.do_GET()
 
     def do_GET(self) -> None:
-        self.connection.settimeout(self.timeout)
-        host = self.headers.get("Host", "").rpartition(":")[0]
-        if host not in _OWN:
-            self._send(HTTPStatus.FORBIDDEN, "text/plain", "this server answers on this machine only")
-            return
-        parts = urlsplit(self.path)
-        folder, name = parts.path[1:].partition("/")[::2]
-        answers: dict[str, tuple[str, Callable[[dict[str, str]], str]]] = {
-            "/": (_HTML, lambda _: report_page(self._live)),
-            "/explorer": (_HTML, lambda _: explorer_page(self._live)),
-            "/state": (_JSON, lambda _: json.dumps(self._live.state())),
-            "/loop": (_JSON, self._loop),
-        }
-        if folder == CURVES and name.endswith(".js"):
-            fit = unquote(name.removesuffix(".js"))
-            answers[parts.path] = _SCRIPT, lambda _: self._live.curves(fit)
-        if parts.path not in answers:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; choose from {', '.join(answers)}")
-            return
-        kind, answer = answers[parts.path]
-        if kind != _HTML and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
-            self._send(HTTPStatus.FORBIDDEN, "text/plain", "data of this server are for its own pages")
-            return
-        query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
-        try:
-            self._send(HTTPStatus.OK, kind, answer(query))
-        except GbidError as error:
-            self._send(HTTPStatus.BAD_REQUEST, "text/plain", str(error))
+        if (place := self._allowed(self._pages)) is not None:
+            name, below, query = place
+            kind, answer = self._pages[name]
+            if kind == HTML or self._is_own():
+                self._answer(kind, lambda: answer({**query, BELOW: below}))
 
-    def _loop(self, query: dict[str, str]) -> str:
-        """Return the closed loop of a design as JSON for the operating point and gains in the query."""
-        designs = self._live.known_designs()
-        name = query.pop("design", next(iter(designs)))
-        if name not in designs:
-            raise UsageError(f"no design {name!r}; choose from {', '.join(designs)}")
-        axis, sampled = query.pop("axis", "x"), query.pop("sampled", "0") == "1"
+    def do_POST(self) -> None:
+        if (place := self._allowed(self._actions)) is None or not self._is_own():
+            return
+        length = self.headers.get("Content-Length", "")
+        if self.headers.get("Content-Type") != JSON or not length.isdecimal() or int(length) > _LONGEST:
+            self._send(HTTPStatus.BAD_REQUEST, _TEXT, f"expected JSON of at most {_LONGEST >> 20} MB")
+            return
         try:
-            numbers = {key: float(value) for key, value in query.items()}
-            point = numbers.pop("pressure_bar"), numbers.pop("speed_rpm")
-        except (ValueError, KeyError) as error:
-            raise UsageError(f"loop: {error}; give pressure_bar, speed_rpm and gains as numbers") from None
-        return json.dumps(explored_loop(designs[name], Explored(*point, numbers, axis, sampled)))
+            document = json.loads(self.rfile.read(int(length)))
+            asked = signature(self._actions[place[0]]).bind(**document)
+        except (ValueError, TypeError, RecursionError) as error:
+            self._send(HTTPStatus.BAD_REQUEST, _TEXT, f"not the JSON that {place[0]} takes: {error}")
+            return
+        self._answer(JSON, lambda: json.dumps(self._actions[place[0]](*asked.args, **asked.kwargs), default=str))
+
+    def _allowed(self, answers: Mapping[str, object]) -> tuple[str, str, dict[str, str]] | None:
+        """Return name, path below it and query of a request; None after a refusal."""
+        self.connection.settimeout(self.timeout)
+        parts = urlsplit(self.path)
+        token, _, path = parts.path[1:].partition("/")
+        name, _, below = path.partition("/")
+        if self.headers.get("Host", "").rpartition(":")[0] not in _OWN:
+            self._send(HTTPStatus.FORBIDDEN, _TEXT, "this server answers on this machine only")
+        elif not compare_digest(token.encode(), self._token.encode()):
+            self._send(HTTPStatus.FORBIDDEN, _TEXT, "open the whole address that gbid has printed, with its token")
+        elif name not in answers or (below and name != CURVES):
+            known = ", ".join(filter(None, answers))
+            self._send(HTTPStatus.NOT_FOUND, _TEXT, f"no page {path}; choose from {known}")
+        else:
+            return name, unquote(below), {key: values[-1] for key, values in parse_qs(parts.query).items()}
+        return None
+
+    def _is_own(self) -> bool:
+        """Return whether a page of this server asks, as far as the browser tells; refuse others."""
+        own = self.headers.get("Sec-Fetch-Site", "none") in ("same-origin", "none")
+        if not own:
+            self._send(HTTPStatus.FORBIDDEN, _TEXT, "data of this server are for its own pages")
+        return own
+
+    def _answer(self, kind: str, answer: Callable[[], str]) -> None:
+        try:
+            self._send(HTTPStatus.OK, kind, answer())
+        except GbidError as error:
+            self._send(HTTPStatus.BAD_REQUEST, _TEXT, str(error))
 
     def _send(self, status: HTTPStatus, kind: str, text: str) -> None:
         body = text.encode()
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         self.send_response(status)
         headers |= {"X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin"}
-        for name, value in {**headers, "Content-Security-Policy": _policy()}.items():
+        headers |= {"Referrer-Policy": "no-referrer", "Content-Security-Policy": _policy()}
+        for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
@@ -568,3 +622,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Print nothing; the terminal shows only the address."""
+
+
+_TEXT = "text/plain; charset=utf-8"
