@@ -7,7 +7,7 @@
   const ROLES = ["r", "u", "p", "phi"];
   const at = (id) => document.getElementById(id);
   const about = JSON.parse(at("about").textContent);
-  const state = { files: {}, file: "", shown: null, text: "", saved: "", dirty: false, marks: {}, answers: {}, asking: 0, checking: 0, was: null };
+  const state = { files: {}, file: "", shown: null, text: "", saved: "", dirty: false, marks: {}, answers: {}, asking: 0, was: null };
 
   const make = (tag, more = {}, ...children) => {
     const made = Object.assign(document.createElement(tag), more);
@@ -20,8 +20,8 @@
     items("page-errors", text ? text.split("\n") : []);
   };
 
-  async function ask(name, document) {
-    const more = document && { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(document) };
+  async function ask(name, document, signal = null) {
+    const more = document && { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(document), signal };
     let answer;
     try {
       answer = await fetch(name, more);
@@ -159,24 +159,30 @@
     for (const group of order) {
       const lines = groups.get(group);
       const host = group.startsWith("column ") ? "others" : "mapped";
-      const units = [...new Set(lines.map((l) => l.unit || "number"))].join(", ");
+      const units = [...new Set(lines.map((l) => shownIn(l.unit)[0]))].join(", ");
       chart(host, about.names[group] ?? group, {
         x, y: { label: `${group.replace("column ", "")} [${units}]` }, used, drag: shown.timed ? drag : null,
         series: lines.map((line, style) => ({
           name: line.name, style, x: line.low.flatMap((_, k) => [(k + 0.25) / line.low.length * end, (k + 0.75) / line.low.length * end]),
-          y: line.low.flatMap((low, k) => [low ?? NaN, line.high[k] ?? NaN]),
+          y: line.low.flatMap((low, k) => [low, line.high[k]].map((v) => (v ?? NaN) * shownIn(line.unit)[1])),
         })),
       });
       if (host === "mapped") {
         const spectra = shown.spectra.filter((s) => lines.some((l) => l.name === s.name));
         chart("others", `Spectrum of ${group}`, {
           x: { label: shown.timed ? "frequency [Hz]" : "frequency [1/sample]", min: 0, max: 0.5 / dt }, y: { label: `amplitude [${units}]`, log: true },
-          series: spectra.map(({ name, y }, style) => ({ name, style, x: y.map((_, k) => (k + 0.5) / y.length * 0.5 / dt), y: y.map((v) => v || NaN) })),
+          series: spectra.map(({ name, y }, style) => ({
+            name, style, x: y.map((_, k) => (k + 0.5) / y.length * 0.5 / dt), y: y.map((v) => (v || NaN) * shownIn(lines[style].unit)[1]),
+          })),
         });
       }
     }
     for (const each of charts) Charts.draw(...each);
-    const orbit = shown.orbit && { x: { label: "x" }, y: { label: "y" }, series: [{ name: "p, its last 1500 samples", style: 2, ...shown.orbit }] };
+    const [unit, factor] = shownIn(shown.orbit?.unit);
+    const orbit = shown.orbit && {
+      x: { label: `x [${unit}]` }, y: { label: `y [${unit}]` },
+      series: [{ name: "p, its last 1500 samples", style: 0, x: shown.orbit.x.map((v) => v * factor), y: shown.orbit.y.map((v) => v * factor) }],
+    };
     draw("orbit", "Orbit", orbit, "There are no two columns of p.");
     const turns = shown.speed_rpm;
     const speed = turns.length && { x, y: { label: "speed [rpm]" }, used, series: [{ name: "from phi", style: 0, x: turns.map((_, k) => (k + 0.5) / turns.length * end), y: turns }] };
@@ -195,14 +201,23 @@
     else at(id).replaceChildren(make("p", { className: "note" }, otherwise));
   }
 
+  // Unit and factor of an axis: metres are too large for it.
+  const shownIn = (unit) => (unit === "m" ? ["µm", 1e6] : [unit || "number", 1]);
+
   const rounded = (value) => Number(value.toPrecision(4));
 
   // ---- Choices: before the draft they are answers, as to `gbid init`; then each is a value of the YAML.
 
-  async function set(key, value, ofFile = true) {
-    const changed = await ask("change", { text: state.text, file: ofFile ? state.file : "", key, value });
-    await take(changed.text);
-    at("told").textContent = `${key.join(".")} is set${ofFile ? " for all files with the same mapping" : ""}.`;
+  // Changes follow one another: each starts from the text that the one before has made.
+  let changes = Promise.resolve();
+  function set(key, value, ofFile = true) {
+    const change = async () => {
+      const changed = await ask("change", { text: state.text, file: ofFile ? state.file : "", key, value });
+      await take(changed.text);
+      at("told").textContent = `${key.join(".")} is set${ofFile ? " for all files with the same mapping" : ""}.`;
+    };
+    changes = changes.catch(() => {}).then(change);
+    return changes;
   }
 
   const setCut = act(async (from, to) => {
@@ -289,12 +304,9 @@
             : [simple("kind", ["kind"], word, { options: about.kinds })]),
         ]
       : [before("pressure of all files [bar]", "pressure_bar"), before("speed of all files [rpm]", "speed_rpm"), before("pattern of the file names", "pattern"), before("structure of the controller", "controller")]));
-    const machine = (label, key, factor) => field(label, state.machine?.[key] ?? "", async (text) => {
-      const value = number(text);
-      (state.machine ??= {})[key] = text;
-      if (state.text) await set(["machine", key], value === null ? null : Number((factor * value).toPrecision(12)), false);
-    });
-    at("all").replaceChildren(machine("moving mass [kg]", "moving_mass_kg", 1), machine("travel of a piezo stack [µm]", "piezo_travel_m", 1e-6), machine("radial clearance [µm]", "clearance_m", 1e-6));
+    const machine = (label, key, factor) => field(label, state.shown.machine[key] && rounded(state.shown.machine[key] / factor), (text) =>
+      set(["machine", key], number(text) && Number((factor * number(text)).toPrecision(12)), false));
+    at("all").replaceChildren(...(state.text ? [machine("moving mass [kg]", "moving_mass_kg", 1), machine("travel of a piezo stack [µm]", "piezo_travel_m", 1e-6), machine("radial clearance [µm]", "clearance_m", 1e-6)] : []));
   }
 
   const _at = (value, keys) => keys.reduce((part, key) => part?.[key], value);
@@ -307,11 +319,7 @@
       at("questions").hidden = !made.open;
       at("told").textContent = made.open ? "Some questions are open." : "Drafted. It is not saved yet.";
       items("notes", made.notes ?? []);
-      if (!made.open) {
-        await take(made.text);
-        for (const [key, text] of Object.entries(state.machine ?? {})) if (text) await set(["machine", key], Number(((key.endsWith("_m") ? 1e-6 : 1) * number(text)).toPrecision(12)), false);
-        return;
-      }
+      if (!made.open) return void (await take(made.text));
       at("asked").replaceChildren(...Object.entries(made.open).map(([option, why]) =>
         make("div", {}, make("p", {}, why), field(`${option}: ${about.questions[option]}`, "", (text) => {
           if (text) state.answers[`asked ${option}`] = [option, text];
@@ -337,14 +345,19 @@
     markNext();
   }
 
+  const REST = 800; // after a change, before the signals of all files are read [ms]
+  let checking = new AbortController();
   async function check() {
-    const mine = ++state.checking;
+    checking.abort(); // a browser opens few connections to a server
+    const { signal } = (checking = new AbortController());
     if (!state.text) return;
     for (const quick of [true, false]) {
+      if (!quick) await new Promise((done) => setTimeout(done, REST));
+      if (signal.aborted) return;
       at("verdict").className = "verdict";
       if (quick) at("verdict").textContent = "Checking …";
-      const said = await ask("check", { text: state.text, quick }).catch((error) => ({ problems: [error.message], code: 1 }));
-      if (mine !== state.checking) return;
+      const said = await ask("check", { text: state.text, quick }, signal).catch((error) => ({ problems: [error.message], code: 1 }));
+      if (signal.aborted) return;
       const good = !said.problems.length;
       at("verdict").textContent = good ? `nothing wrong: ${said.recordings} recordings, ${said.fits} fits${quick ? "; looking at the signals …" : ""}` : `${said.problems.length} problems`;
       at("verdict").className = `verdict ${good ? (quick ? "" : "good") : "bad"}`;

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -61,7 +61,7 @@ class Bench:
         if not folder.is_dir():
             raise UsageError(f"no folder {folder}; name the folder of the measured files")
         self.folder, self.path, self._announce = folder, target / "experiment.yaml", announce
-        self._reading, self._running = threading.Lock(), threading.Lock()
+        self._reading, self._checking, self._running = threading.Lock(), threading.Lock(), threading.Lock()
         self._plots = lru_cache(_PLOTS)(self._plots_of)
         self._experiment = lru_cache(4)(self._load)
         self._live: Live | None = None
@@ -139,7 +139,8 @@ class Bench:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
         with self._reading:  # one file at a time in memory
             shown = self._plots(path, version, json.dumps(mapping), kind)
-        return {**shown, "fault": shown["fault"] or why, "section": self._section(text, path.name)}
+        own = {"section": self._section(text, path.name), "machine": self._data(text).get("machine") or {}}
+        return {**shown, **own, "fault": shown["fault"] or why}
 
     def _plots_of(self, path: Path, _version: tuple[int, ...], mapping: str, kind: Kind) -> dict[str, Any]:
         return plots_of(path, json.loads(mapping), kind)
@@ -149,7 +150,7 @@ class Bench:
 
     def _sections(self, text: str) -> dict[tuple[str | int, ...], Any]:
         """Return the mappings of a YAML text by location."""
-        section = read_yaml(self.path, text).data.get("import") if text else None
+        section = self._data(text).get("import")
         section = section if isinstance(section, dict) else {}
         listed: dict[tuple[str | int, ...], Any] = {
             ("import", "recordings", i): each for i, each in enumerate(section.get("recordings") or ())
@@ -158,11 +159,16 @@ class Bench:
 
     def _section(self, text: str, file: str) -> dict[str, Any] | None:
         """Return the mapping of a file in a YAML text, with its location; None without one."""
-        with suppress(UsageError):  # `check` tells it
-            for location, section in self._sections(text).items():
-                if isinstance(section, dict) and section.get("file", file) == file:
-                    return {"location": location, **section}
+        for location, section in self._sections(text).items():
+            if isinstance(section, dict) and (location[1] != "recordings" or section.get("file") == file):
+                return {"location": location, **section}
         return None
+
+    def _data(self, text: str) -> dict[str, Any]:
+        """Return the values of a YAML text; none for a text that is no YAML, which `check` tells."""
+        with suppress(UsageError):
+            return read_yaml(self.path, text).data if text else {}
+        return {}
 
     # ---- Choices.
 
@@ -195,7 +201,8 @@ class Bench:
         """Return what `gbid check` says of a YAML text."""
         try:
             experiment = load_experiment(self.path, text=text, announce=self._announce)
-            problems, code, _ = check_experiment(experiment, quick)
+            with nullcontext() if quick else self._checking:  # the signals of one text at a time
+                problems, code, _ = check_experiment(experiment, quick)
         except GbidError as error:
             return {"problems": str(error).splitlines(), "code": error.exit_code}
         counts = {"recordings": len(experiment.recordings), "fits": len(experiment.spec.fits)}

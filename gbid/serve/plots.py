@@ -40,9 +40,9 @@ def plots_of(path: Path, mapping: Mapping[str, Any] | None, kind: Kind = "excite
     -------
     dict
         channels [{name, unit, role, why}], timed (whether times are known), n_samples, sample_time [s], lines [{name,
-        unit, low, high}] over the whole file, spectra [{name, y}] up to half the sampling rate, orbit {x, y} or None,
-        speed_rpm over the file, problems and remarks in the words of `gbid check`, and fault: why the mapping does not
-        fit, in which case the columns are shown as without one.
+        unit, low, high}] over the whole file, spectra [{name, y}] up to half the sampling rate, orbit {x, y, unit} or
+        None, speed_rpm over the file, problems and remarks in the words of `gbid check`, and fault: why the mapping
+        does not fit, in which case the columns are shown as without one.
 
     Raises
     ------
@@ -72,7 +72,8 @@ def plots_of(path: Path, mapping: Mapping[str, Any] | None, kind: Kind = "excite
         for channel, values in zip(rec.channels[signal], rec.signal(signal).T, strict=True)
     }
     seen = [name for name in named if name.startswith("p.")] or list(roles.signals.get("p", ()))
-    orbit = [named[name][1][-_ORBIT:] for name in seen[:2] if name in named]
+    pair = [named[name] for name in seen[:2] if name in named]
+    orbit = {axis: _short(values[-_ORBIT:]) for axis, (_, values) in zip("xy", pair, strict=False)}
     return {
         "channels": [
             {"name": channel.name, "unit": channel.unit, "role": role, "why": why}
@@ -84,7 +85,7 @@ def plots_of(path: Path, mapping: Mapping[str, Any] | None, kind: Kind = "excite
         "sample_time": rec.sample_time,
         "lines": [{"name": name, "unit": unit, **_extremes(values)} for name, (unit, values) in named.items()],
         "spectra": [{"name": name, "y": _spectrum(values)} for name, (_, values) in named.items()],
-        "orbit": {axis: _short(values) for axis, values in zip("xy", orbit, strict=True)} if len(orbit) == 2 else None,
+        "orbit": {**orbit, "unit": pair[0][0]} if len(pair) == 2 else None,
         "speed_rpm": _speed(rec),
         "problems": [problem.text for problem in problems],
         "remarks": [text for text in rec.provenance.get("import_remarks", "").split("; ") if text],

@@ -131,9 +131,9 @@ class Page:
             "q.dispatchEvent(new Event('change', {bubbles: true})); })()"
         )
 
-    def picture(self, path: Path) -> None:
-        """Write a picture of the whole page."""
-        size = self.call("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": 0, "width": size["width"], "height": min(size["height"], 6000), "scale": 1}
+    def picture(self, path: Path, script: str = "document.documentElement") -> None:
+        """Write a picture of the element that a script gives, of the whole page by default."""
+        place = "{x: b.x + scrollX, y: b.y + scrollY, width: b.width, height: Math.min(b.height, 6000), scale: 1}"
+        clip = self.value(f"(b => ({place}))({script}.getBoundingClientRect())")
         data = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip)["data"]
         path.write_bytes(base64.b64decode(data))
