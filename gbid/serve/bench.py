@@ -31,6 +31,8 @@ from gbid.experiment.load import check_experiment, load_experiment
 from gbid.experiment.recordings import mapping_of
 from gbid.experiment.schema import Kind
 from gbid.export.targets import ExportRequest
+from gbid.recording.importing import list_channels
+from gbid.recording.readers import FileChannel
 from gbid.report.page import environment, page_part
 from gbid.serve.plots import plots_of
 from gbid.serve.server import HTML, JSON, Live, Server, bench_script, own_part, result_pages
@@ -62,7 +64,7 @@ class Bench:
             raise UsageError(f"no folder {folder}; name the folder of the measured files")
         self.folder, self.path, self._announce = folder, target / "experiment.yaml", announce
         self._reading, self._checking, self._running = threading.Lock(), threading.Lock(), threading.Lock()
-        self._plots = lru_cache(_PLOTS)(self._plots_of)
+        self._plots, self._channels = lru_cache(_PLOTS)(self._plots_of), lru_cache(_PLOTS)(self._channels_of)
         self._experiment = lru_cache(4)(self._load)
         self._live: Live | None = None
         self._run: subprocess.Popen[bytes] | None = None
@@ -142,8 +144,11 @@ class Bench:
         own = {"section": self._section(text, path.name), "machine": self._data(text).get("machine") or {}}
         return {**shown, **own, "fault": shown["fault"] or why}
 
-    def _plots_of(self, path: Path, _version: tuple[int, ...], mapping: str, kind: Kind) -> dict[str, Any]:
-        return plots_of(path, json.loads(mapping), kind)
+    def _plots_of(self, path: Path, version: tuple[int, ...], mapping: str, kind: Kind) -> dict[str, Any]:
+        return plots_of(path, self._channels(path, version), json.loads(mapping), kind)
+
+    def _channels_of(self, path: Path, _version: tuple[int, ...]) -> list[FileChannel]:
+        return list_channels(path)
 
     def _load(self, text: str, _version: tuple[int, ...]) -> Experiment:
         return load_experiment(self.path, text=text, form_only=True)

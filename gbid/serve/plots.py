@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from gbid.core.errors import GbidError
 from gbid.experiment.schema import Kind
 from gbid.prefilter.filtering import repair_overloads
 from gbid.recording import Recording
-from gbid.recording.importing import import_recording, list_channels
+from gbid.recording.importing import import_recording
 from gbid.recording.quality import BLOCK, find_problems, turning_increments
 from gbid.recording.readers import FileChannel
 from gbid.recording.roles import find_roles
@@ -24,13 +24,17 @@ _ORBIT = 1500  # samples
 _CUT = ("from_s", "to_s", "samples")
 
 
-def plots_of(path: Path, mapping: Mapping[str, Any] | None, kind: Kind = "excited") -> dict[str, Any]:
+def plots_of(
+    path: Path, channels: Sequence[FileChannel], mapping: Mapping[str, Any] | None, kind: Kind = "excited"
+) -> dict[str, Any]:
     """Return the plots of a file, as numbers for JSON.
 
     Parameters
     ----------
     path : pathlib.Path
         The file.
+    channels : sequence of FileChannel
+        Its channels, from `gbid.recording.importing.list_channels`.
     mapping : dict, optional
         Its import mapping; without one, every column is shown in the unit of the file.
     kind : str
@@ -49,7 +53,6 @@ def plots_of(path: Path, mapping: Mapping[str, Any] | None, kind: Kind = "excite
     DataError
         When the file cannot be read.
     """
-    channels = list_channels(path)
     roles = find_roles(channels, {}, None)
     fault, rec, mapped = "", None, dict[str, Any]()
     if mapping is not None:
@@ -101,7 +104,7 @@ def _key(column: str) -> str:
     return _RAW + column.replace("/", " ")
 
 
-def _recording(path: Path, mapping: Mapping[str, Any], channels: list[FileChannel], time: str | None) -> Recording:
+def _recording(path: Path, mapping: Mapping[str, Any], channels: Sequence[FileChannel], time: str | None) -> Recording:
     """Return the whole file with the signals of a mapping and all columns that these do not use, as they are."""
     used = {column for signal in mapping["signals"].values() for column in signal["columns"]}
     used |= {mapping.get("time") or time}
@@ -124,7 +127,12 @@ def _cut(rec: Recording, mapping: Mapping[str, Any]) -> Recording:
 
 def _short(values: FloatArray) -> list[float | None]:
     """Return values with six digits for JSON; None for a missing one."""
-    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
+    known = np.isfinite(values)
+    factor = 10.0 ** (5 - np.floor(np.log10(np.where(known & (values != 0), np.abs(values), 1.0))))
+    return [
+        value if value == value else None
+        for value in np.where(known, np.round(values * factor) / factor, np.nan).tolist()
+    ]
 
 
 def _blocks(values: FloatArray) -> tuple[list[float | None], list[float | None]]:

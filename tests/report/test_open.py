@@ -1,6 +1,7 @@
 """`gbid open FOLDER`: plots, choices as YAML, saving and running, by the answers of the server and in a browser."""
 
 import json
+import re
 import subprocess
 import threading
 import time
@@ -15,6 +16,9 @@ from browser import find_chromium
 from devtools import Browser
 from ruamel.yaml import YAML
 
+from gbid import load
+from gbid.experiment.load import load_experiment
+from gbid.lpv import load_model
 from gbid.recording.importing import import_recording
 from gbid.serve import open_bench
 
@@ -268,3 +272,78 @@ def test_a_folder_becomes_an_experiment_by_clicks(served, browser, folder, tmp_p
     server.shutdown()
     server.server_close()
     page.until(f"{by_id('page-errors')}.textContent.startsWith('The server does not answer')")
+
+
+def write_german(place):
+    """Write files of a German logger, at two pressures."""
+    from tests.cli.test_logger_folder import STATED, columns_of
+
+    place.mkdir()
+    for number, (pressure, kind) in enumerate([(p, q) for p in (5.0, 7.0) for q in ("Ruhe", "Rauschen", "Rauschen")]):
+        columns = columns_of(pressure, kind, number)
+        units = ";".join(STATED.get(name, "µm") for name in columns)
+        rows = (";".join(f"{v:.7g}".replace(".", ",") for v in row) for row in zip(*columns.values(), strict=True))
+        text = "\r\n".join(["Messrechner 3", ";".join(columns), units, *rows, ""])
+        (place / f"V{number}_{pressure:g}bar_4200Umin_{kind}.csv").write_bytes(text.encode("cp1252"))
+
+
+def write_american(place):
+    from tests.cli.test_foreign_folders import POINTS, write_american
+
+    place.mkdir()
+    for seed, (pressure, moving) in enumerate(POINTS):
+        write_american(place, moving, pressure, seed, 1.6)
+
+
+def write_italian(place):
+    from tests.cli.test_foreign_folders import write_italian_folder
+
+    write_italian_folder(place, {4.5: (1, 1), 5.0: (1, 3), 6.0: (1, 2)}, 1.6)
+
+
+SHEET = "-6.5:-40 -2.3:-15 0:0 2.1:15 5.4:40"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("write_folder", "answers", "clicks"),
+    [
+        (write_german, {}, 3),
+        (write_american, {"f-unit-of-p": "mil", "f-unit-of-r": "mil", "f-unit-of-u": "mil"}, 3),
+        (write_italian, {"f-unit-of-p": "um", "f-calibration-of-p-x-as-0-0-10-125": SHEET}, 4),
+    ],
+)
+def test_a_folder_becomes_compiled_c_by_clicks(write_folder, answers, clicks, browser, tmp_path):
+    """Draft, run, export; for the Italian folder also to leave out broken files."""
+    write_folder(tmp_path / "runs")
+    server, bench = open_bench(tmp_path / "runs", tmp_path / "own", 0, lambda _: None)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        page = browser.page(server.address)
+        page.until("document.body?.dataset.shown")
+        for name, text in answers.items():
+            page.fill(name, text)
+        if clicks == 4:
+            page.click(by_id("skip"))
+        page.click(by_id("draft"))
+        page.until(SETTLED)
+        for name, text in (("f-travel-of-a-piezo-stack-m-", "45"), ("f-radial-clearance-m-", "25")):
+            page.fill(name, text)
+        page.until(f"{by_id('text')}.value.includes('clearance_m: 2') && {SETTLED}")
+        page.click(by_id("run"))
+        page.until(f"{by_id('progress')}.textContent.startsWith('Done')", 900)
+        page.click(by_id("export"))
+        page.until(f"{by_id('exported')}.children.length")
+        assert re.search("compiled; its test says: .*all .* rows agree", page.text("exported"))
+        assert page.clicks == clicks
+    finally:
+        server.shutdown()
+        server.server_close()
+        bench.close()
+    experiment = load_experiment(tmp_path / "own" / "experiment.yaml")
+    fits = sorted((experiment.results / "fits" / "bearing").glob("*.h5"))
+    assert len(fits) >= 4
+    for path in fits:
+        fit, point = load(path), experiment.recordings[path.stem].conditions
+        true = load_model("theisen2016").at(point["pressure_bar"], point["speed_rpm"]).modes()
+        assert np.abs((np.array(fit.model.modes()[:2]) - true) / fit.modes_std[:2]).max() < 4
