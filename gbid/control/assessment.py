@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import inf, isnan, nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -27,7 +27,7 @@ from gbid.control.tuning.loops import PADE_ORDER
 from gbid.control.tuning.plants import ModelPlants, PlantsLike, TuneOptions, plants_of
 from gbid.control.tuning.result import GainResult
 from gbid.core import hdf5
-from gbid.core.arrays import BoolArray, FloatArray, point_label
+from gbid.core.arrays import BoolArray, FloatArray, Point, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
@@ -37,6 +37,7 @@ from gbid.lpv import LPVFit, LPVModel
 from gbid.structure import LinearModel, PiezoPair
 from gbid.structure.delay import with_pade
 from gbid.structure.linear import Structure, evaluate
+from gbid.structure.scheduling import SCHEDULING
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class PointAssessment:
     Attributes
     ----------
     pressure_bar, speed_rpm : float
-        Operating point; NaN for a plant that is a linear model.
+        Operating point; NaN for a plant that is a linear model, and where they are no scheduling variables.
     stable : bool
         Whether the continuous loop is stable, which has no computation time.
     damping : float
@@ -82,6 +83,8 @@ class PointAssessment:
         Largest singular value of S_o of the sampled loop.
     plant : str
         Name of a plant that is a linear model.
+    place : dict of str to float
+        Scheduling variables of an LPV model or a scheduled controller by name.
     """
 
     pressure_bar: float
@@ -103,11 +106,12 @@ class PointAssessment:
     sampled_damping: float
     sampled_peak_output: Peak
     plant: str = ""
+    place: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
         """Operating point, or the name of the plant."""
-        return self.plant or point_label(self.pressure_bar, self.speed_rpm)
+        return self.plant or point_label(*self.place.values(), variables=tuple(self.place))
 
     def figures(self) -> dict[str, float]:
         """Return the performance figures that comparisons of designs show, in the order of `FIGURES`."""
@@ -203,7 +207,7 @@ class Assessment(Brief):
         UsageError
             When pandas is not installed.
         """
-        rows = [{"pressure_bar": p.pressure_bar, "speed_rpm": p.speed_rpm, **p.figures()} for p in self.points]
+        rows = [{**(p.place or dict.fromkeys(SCHEDULING, nan)), **p.figures()} for p in self.points]
         return data_frame({name: [row[name] for row in rows] for name in rows[0]})
 
     @property
@@ -235,7 +239,7 @@ def assess(
     model: PlantsLike,
     controller: str | Structure | GainResult,
     gains: Mapping[str, float] | None = None,
-    points: Sequence[tuple[float, float]] | None = None,
+    points: Sequence[Point] | None = None,
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -258,8 +262,8 @@ def assess(
     gains : dict of str to float, optional
         A value for every parameter of the structure; those of a result are its own.
     points : sequence of (pressure_bar, speed_rpm), optional
-        Operating points of an LPV model; by default those of the model. For linear models and a scheduled controller
-        those of each model, by default of the result.
+        Operating points of an LPV model, or values of its other scheduling variables; by default those of the model.
+        For linear models and a scheduled controller those of each model, by default of the result.
     inputs, outputs : sequence of str, optional
         Channels of linear models that the controller drives and measures, as in `gbid.tune`; by default all.
     name : str
@@ -316,18 +320,18 @@ def assess(
 
 
 class _AssessedPlant(NamedTuple):
-    """Plant with Padé delays, plant with exact delays, operating point and LPV model (None if unknown)."""
+    """Plant with Padé delays, plant with exact delays, scheduling variables and LPV model (None if unknown)."""
 
     continuous: LinearModel
     exact: LinearModel
-    point: tuple[float, float] = (nan, nan)
+    place: Mapping[str, float]
     lpv: LPVModel | None = None
 
 
 def _plants(
     model: PlantsLike,
     structure: Structure | Scheduled,
-    points: Sequence[tuple[float, float]] | None,
+    points: Sequence[Point] | None,
     channels: TuneOptions,
 ) -> list[_AssessedPlant]:
     """Return the plants of an assessment, each with Padé delays and with exact delays."""
@@ -337,20 +341,23 @@ def _plants(
     if isinstance(model, LPVModel):
         if channels.inputs or channels.outputs:
             raise UsageError("assess: inputs and outputs choose channels of linear models; an LPV model has r and p")
-        chosen = [(float(bar), float(rpm)) for bar, rpm in (model.operating_points if points is None else points)]
+        chosen = [tuple(map(float, point)) for point in (model.operating_points if points is None else points)]
+        names = model.scheduling
         if not chosen:
-            raise UsageError(
-                f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {model.name!r}"
-            )
-        return [_AssessedPlant(model.plant_at(*point), exact_plant(model, *point), point, model) for point in chosen]
+            raise UsageError(f"assess: no operating points; give points=[({', '.join(names)}), ...] for {model.name!r}")
+        both = [(model.plant_at(*point), exact_plant(model, *point)) for point in chosen]
+        places = [dict(zip(names, point, strict=True)) for point in chosen]
+        return [_AssessedPlant(*plants, place, model) for plants, place in zip(both, places, strict=True)]
     if points is not None and not isinstance(structure, Scheduled):
         raise UsageError("assess: points belong to an LPV model; give the linear models of a list")
-    plants = plants_of(model, structure, replace(channels, speeds_rpm=[rpm for _, rpm in points] if points else None))
+    names = structure.domain.variables if isinstance(structure, Scheduled) else ()
+    places = [dict(zip(names, map(float, point), strict=True)) for point in points or ()]
+    speeds = [place.get("speed_rpm", 0.0) for place in places] or None
+    plants = plants_of(model, structure, replace(channels, speeds_rpm=speeds))
     assert isinstance(plants, ModelPlants)
-    where = points or [(nan, nan)] * len(plants.models)
-    each = zip(plants.models, plants.scenarios(plants.points)[1], where, strict=True)
+    each = zip(plants.models, plants.scenarios(plants.points)[1], places or [{}] * len(plants.models), strict=True)
     return [
-        _AssessedPlant(replace(with_pade(plant, PADE_ORDER), name=label), plant, point) for plant, label, point in each
+        _AssessedPlant(replace(with_pade(plant, PADE_ORDER), name=label), plant, place) for plant, label, place in each
     ]
 
 
@@ -359,11 +366,11 @@ def _assess_point(
 ) -> PointAssessment:
     """Return all performance figures of a design with one plant, under the conditions of an assessment."""
     plant, lpv = assessed.continuous, assessed.lpv
-    controller = controller_at(structure, plan.gains, *assessed.point)
+    controller = controller_at(structure, plan.gains, *assessed.place.values())
     loop = sensitivities(plant, controller)
     closed = loop.model("plant")
     impacts = []
-    if lpv is not None and plan.impact.mass_kg is not None:
+    if lpv is not None and lpv.actuators and plan.impact.mass_kg is not None:
         actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
         given: dict[str, Any] = {"actuators": actuators, "piezo_travel_m": piezo_travel_m}
         impacts = [impact_response(plant, controller, plan.impact.towards(angle), **given) for angle in (0.0, 90.0)]
@@ -377,10 +384,11 @@ def _assess_point(
         sampled = sampled_loop(assessed.exact, controller, plan.sample_time, **timing)
     stable, stiffness = closed.is_stable(), np.full(len(plant.C), np.nan)
     if stable:
-        with nullcontext() if lpv is not None else suppress(UsageError, np.linalg.LinAlgError):
+        with nullcontext() if lpv is not None and lpv.actuators else suppress(UsageError, np.linalg.LinAlgError):
             stiffness = static_stiffness_ratio(loop)  # a plant may not show where a force enters, or be free
     return PointAssessment(
-        *assessed.point,
+        assessed.place.get("pressure_bar", nan),
+        assessed.place.get("speed_rpm", nan),
         stable,
         smallest_damping(closed),
         tuple(closed.modes()),
@@ -398,6 +406,7 @@ def _assess_point(
         nan if sampled is None else sampled.damping,
         Peak(nan, nan) if sampled is None else sampled.peak_output,
         "" if lpv is not None else plant.name or "plant",
+        assessed.place,
     )
 
 
@@ -511,44 +520,52 @@ class DesignFigures:
         Names of design and structure.
     gains : dict of str to float
         Gains by name.
-    points : (m, 2) array
-        Operating points: pressure [bar], speed [rpm].
+    points : (m, n_variables) array
+        Operating points; of a gas bearing pressure [bar], speed [rpm].
     figures : (m, 12) array
         Figures in the order and units of `gbid.control.assessment.FIGURES`.
     stable, sampled_stable, exceeds_travel : (m,) boolean array
         At each point: whether the continuous loop is stable; whether the sampled loop is stable; whether the impact
         needs more travel than a stack has.
+    variables : tuple of str
+        Names of the scheduling variables.
     """
 
     name: str
     structure: str
     gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
-    points: Annotated[FloatArray, Stored("bar, rpm", "operating points", "points 2")]
+    points: Annotated[FloatArray, Stored("bar, rpm", "operating points", "points variables")]
     figures: Annotated[FloatArray, Stored("SI", "figures of the design at the points", "points figures")]
     stable: Annotated[BoolArray, Stored("", "stable, at the points", "points")]
     sampled_stable: Annotated[BoolArray, Stored("", "sampled stable, at the points", "points")]
     exceeds_travel: Annotated[BoolArray, Stored("", "exceeds travel, at the points", "points")]
+    variables: Annotated[tuple[str, ...], Stored(late=True)] = SCHEDULING
 
     @classmethod
     def of(cls, assessment: Assessment) -> DesignFigures:
         """Return the performance figures of an assessment as plain numbers."""
-        points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
+        variables = tuple(assessment.points[0].place) or SCHEDULING
+        points = [tuple(q.place.values()) or (nan,) * len(variables) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
-        verdicts = (np.array([bool(getattr(q, name)) for q in assessment.points]) for name in _VERDICTS)
+        stable, sampled, travel = (np.array([bool(getattr(q, name)) for q in assessment.points]) for name in _VERDICTS)
         about = assessment.name, assessment.structure, assessment.gains
-        return cls(*about, np.array(points), np.array(figures), *verdicts)
+        return cls(*about, np.array(points), np.array(figures), stable, sampled, travel, variables)
 
     def at(self, row: int) -> dict[str, float]:
         """Return the performance figures at one operating point by name."""
         return dict(zip(FIGURES, map(float, self.figures[row]), strict=True))
 
+    def where(self, row: int) -> str:
+        """Return the label of an operating point."""
+        return point_label(*self.points[row], variables=self.variables)
+
     @property
-    def worst(self) -> dict[str, tuple[float, tuple[float, float]]]:
+    def worst(self) -> dict[str, tuple[float, Point]]:
         """Worst value of each figure and the operating point where it occurs."""
         worst = {}
         for (name, figure), column in zip(FIGURES.items(), self.figures.T, strict=True):
             row = int((np.argmin if figure.lowest_is_worst else np.argmax)(column))
-            worst[name] = (float(column[row]), (float(self.points[row, 0]), float(self.points[row, 1])))
+            worst[name] = (float(column[row]), tuple(self.points[row].tolist()))
         return worst
 
 
@@ -718,12 +735,12 @@ def _performance_row(performance: DesignFigures) -> Row:
         "structure": performance.structure,
         "gains": dict(performance.gains),
         "worst": {
-            figure: {"value": value, "pressure_bar": point[0], "speed_rpm": point[1]}
+            figure: {"value": value, **dict(zip(performance.variables, point, strict=True))}
             for figure, (value, point) in performance.worst.items()
         },
         "points": [
-            {"pressure_bar": float(p), "speed_rpm": float(n), **performance.at(row)}
-            for row, (p, n) in enumerate(performance.points)
+            {**dict(zip(performance.variables, point, strict=True)), **performance.at(row)}
+            for row, point in enumerate(performance.points.tolist())
         ],
     }
 
@@ -746,7 +763,7 @@ def assessment_tables(designs: Mapping[str, TunedDesign]) -> list[Table]:
         shown = [design.performance[0] for design in group.values() if design.performance]
         shown += first.performance[1:]
         points = first.result.points
-        where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+        where = shown[0].where(0) if shown and len(points) == 1 else f"{len(points)} operating points"
         title = f"{first.plant}, worst over {where}" if len(points) else first.plant
         conditions = conditions_words(first.impact, first.sample_time, first.method)
         tables += [comparison_table(title, shown, conditions)] if shown else []

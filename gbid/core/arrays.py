@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from math import isfinite
@@ -95,26 +95,28 @@ def oscillatory_modes(poles: ComplexArray) -> FloatArray:
 
 # ---- Labels of operating points.
 
-Point = tuple[float, float]
-"""Operating point: pressure [bar] and speed [rpm]."""
+Point = tuple[float, ...]
+"""Operating point: scheduling variables; of a gas bearing pressure [bar] and speed [rpm]."""
+_POINT_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
 
 
-def point_label(pressure_bar: float, speed_rpm: float) -> str:
+def point_label(*point: float, variables: Sequence[str] = tuple(_POINT_UNITS)) -> str:
     """Return the label of an operating point, as reports show it.
 
     Parameters
     ----------
-    pressure_bar : float
-        Supply pressure [bar].
-    speed_rpm : float
-        Shaft speed [rpm].
+    *point : float
+        Scheduling variables; by default supply pressure [bar] and shaft speed [rpm].
+    variables : sequence of str
+        Names of the variables.
 
     Returns
     -------
     str
-        For example ``"6 bar, 4000 rpm"``.
+        For example ``"6 bar, 4000 rpm"``, or ``"6 bar, eccentricity 0.2"``.
     """
-    return f"{pressure_bar:g} bar, {speed_rpm:g} rpm"
+    named = zip(variables, point, strict=True)
+    return ", ".join(f"{v:g} {_POINT_UNITS[n]}" if n in _POINT_UNITS else f"{n} {v:g}" for n, v in named)
 
 
 # ---- Threads of this process: one in each BLAS library, and one at a time in the solver.

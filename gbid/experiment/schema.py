@@ -4,7 +4,7 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import (
@@ -51,6 +51,7 @@ from gbid.experiment.rig_schema import Axes, LoopSection, NamedController, Place
 from gbid.export.chain import ChainOptions
 from gbid.identify.options import FitOptions, Scope
 from gbid.lpv import MachineData
+from gbid.lpv.model import SCHEDULING, TERMS
 
 
 class CrossvalSection(Section):
@@ -401,24 +402,25 @@ class ImportSection(Section):
     table: TableSection | None = None
 
 
-Term = Literal["1", "P", "Omega", "Omega P", "P^2", "Omega^2"]
-
-
+_Terms = Annotated[tuple[Text, ...], Field(min_length=1)]
 _ORDER = Annotated[
-    Annotated[int, Exact(), Ge(0), Le(2)] | Literal["auto"] | Annotated[tuple[Term, ...], Field(min_length=1)],
-    Allowed("0, 1, 2, auto, or a list of terms out of " + ", ".join(f'"{term}"' for term in get_args(Term))),
+    Annotated[int, Exact(), Ge(0), Le(3)] | Literal["auto"] | _Terms,
+    Allowed("0, 1, 2, auto, or a list of terms such as " + ", ".join(f'"{term}"' for term in TERMS)),
 ]
 
 
 class LpvSection(Section):
     """Surfaces of the key parameters of a fit to each recording (paper, Eq. 16); see `gbid.fit_lpv`.
 
+    `scheduling`: conditions of the recordings over which the surfaces are fitted; by default pressure and speed. Terms
+    of others have their names, such as ``"eccentricity^2"``.
     `actuators`: the word ``nominal`` (choice of the section nominal), or the name or file of a model; default none.
     `direct`: whether the surfaces are also estimated directly from the recordings; see `gbid.fit_lpv_direct`.
     """
 
     fit: Name
     weighting: Literal["scatter", "fits", "ordinary"] = "scatter"
+    scheduling: Annotated[Names, Field(min_length=1)] = SCHEDULING
     order: _ORDER = 2
     robust: Switch = False
     direct: Switch = False
@@ -557,7 +559,8 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     ``resonant``, ``full P``, ``full PD``, ``full biquad``, or your own as ``file.py:name``. `lowpass_hz`, `order` and
     `tune_corner` (whether the corner is a gain as well) are options of the built-in structures; `options` holds those
     of one structure by name, such as ``{filter_order: 6}`` or ``{coupling: gyroscopic, notch_orders: [1.0]}``.
-    `schedule`: terms of pressure and speed on which the gains depend; without it gains are constant.
+    `schedule`: terms of pressure and speed, or of the other variables of the model, on which the gains depend; without
+    it gains are constant.
     `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, a fit of it, whose models of any machine are
     the plants together, or the name or file of a model. When it is left out, the surfaces are used if there is a
     section lpv, else the model of the rig.
@@ -579,7 +582,7 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     order: Annotated[CountOrZero, Le(20)] | None = None
     tune_corner: Switch | None = None
     options: dict[Text, _Option] = Field(default_factory=dict)
-    schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None
+    schedule: _Terms | None = None
     model: Text | None = None
     inputs: tuple[Text, ...] | None = None
     outputs: tuple[Text, ...] | None = None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -29,6 +29,7 @@ from gbid.prefilter import RunoutMap
 from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
 from gbid.structure import LinearModel
+from gbid.structure.scheduling import SCHEDULING
 
 # ---- Names and texts in C source: checked identifiers, safe comments, exact numbers.
 
@@ -94,6 +95,10 @@ def c_number(value: float, number: str) -> str:
 
 Number = Literal["double", "float"]
 Samples = Annotated[int, Exact(), Ge(1), Le(30000)]
+_FASTEST_S = 2.0
+"""Shortest time in which a schedule follows a variable other than pressure and speed through its range [s]."""
+_FIELDS = ("position", "angle", "mode")
+"""Fields of the input of a chain that are no scheduling variables."""
 PIEZO_CHANNELS = ("p_x", "p_y"), ("r_x", "r_y")
 """Inputs and outputs of the controller of a machine with four piezo stacks."""
 STACKS = ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))
@@ -133,7 +138,8 @@ class ChainOptions:
         Time in which the control is faded in and out [s]. Meanwhile the states of the controller decay, and they are
         zero while it is off.
     pressure_rate, speed_rate : float
-        Fastest change of pressure [bar/s] and speed [rpm/s] that a schedule follows.
+        Fastest change of pressure [bar/s] and speed [rpm/s] that a schedule follows. Another scheduling variable
+        takes at least 2 s through its range.
     number : {"double", "float"}
         Type of the numbers in the source.
     on_fault : {"fade", "control"}
@@ -247,30 +253,31 @@ FADE_FORGETS = 16.0
 """Time of a fade over the time constant with which the states of the controller decay near its lower end."""
 
 
-# ---- Tables over pressure and speed with bilinear interpolation, as in the generated source.
+# ---- Tables over scheduling variables with multilinear interpolation, as in the generated source.
 
 TOLERANCE = 1e-3
 """Largest error of the interpolation between nodes, as a share of the largest magnitude of an entry."""
 MOST_NODES = 9
-"""Most nodes along pressure and along speed."""
+"""Most nodes along each of one or two variables."""
+FEWER_NODES = 5
+"""Most nodes along each of three or more variables, whose rows are many."""
 
 
 @dataclass(frozen=True, eq=False)
 class GridTable:
-    """Rows of numbers over a grid of pressure and speed; a single row if the controller is not scheduled.
+    """Rows of numbers over a grid of scheduling variables; a single row if the controller is not scheduled.
 
     Attributes
     ----------
-    pressure_bar, speed_rpm : tuple of float
-        Nodes, ascending; both empty for a single row, else at least two each.
+    axes : dict of str to tuple of float
+        Nodes of each variable, ascending; empty for a single row, else at least two.
     rows : (n_nodes, n_entries) array
-        Rows, the nodes of speed within those of pressure.
+        Rows, the nodes of the last variable within those of the variables before it.
     error : float
         Largest error between nodes that was found, as a share of the largest magnitude of an entry.
     """
 
-    pressure_bar: tuple[float, ...]
-    speed_rpm: tuple[float, ...]
+    axes: Mapping[str, tuple[float, ...]]
     rows: FloatArray
     error: float = 0.0
 
@@ -283,23 +290,27 @@ class GridTable:
     def _lists(self) -> list[list[float]]:
         return [[float(v) for v in row] for row in self.rows]
 
-    def row(self, pressure_bar: float, speed_rpm: float) -> list[float]:
+    def row(self, *point: float) -> list[float]:
         """Return the row at an operating point, with the operations of the C source in their order.
 
         Parameters
         ----------
-        pressure_bar, speed_rpm : float
-            Operating point [bar], [rpm]; outside the nodes the nearest is taken.
+        *point : float
+            Variables in the order of `axes`; outside the nodes the nearest is taken.
         """
         rows = self._lists
         if not self.is_scheduled:
             return rows[0]
-        i, a = _place(self.pressure_bar, pressure_bar)
-        j, b = _place(self.speed_rpm, speed_rpm)
-        first, n = i * len(self.speed_rpm) + j, len(self.speed_rpm)
-        w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b
-        corners = zip(rows[first], rows[first + 1], rows[first + n], rows[first + n + 1], strict=True)
-        return [((w00 * p + w01 * q) + w10 * r) + w11 * s for p, q, r, s in corners]
+        axes = [*self.axes.values()]
+        places = [_place(nodes, value) for nodes, value in zip(axes, point, strict=True)]
+        total: list[float] = []
+        for corner in product((0, 1), repeat=len(places)):
+            weight, at = 1.0, 0
+            for up, (i, share), nodes in zip(corner, places, axes, strict=True):
+                weight, at = weight * (share if up else 1.0 - share), at * len(nodes) + i + up
+            part = [weight * v for v in rows[at]]
+            total = [a + b for a, b in zip(total, part, strict=True)] if total else part
+        return total
 
 
 def inverse_widths(nodes: tuple[float, ...]) -> list[float]:
@@ -320,82 +331,74 @@ def _place(nodes: tuple[float, ...], value: float) -> tuple[int, float]:
     return i, (value - nodes[i]) * inverse_widths(nodes)[i]
 
 
-def table_of_points(rows: dict[tuple[float, float], FloatArray], what: str) -> GridTable:
+def table_of_points(rows: dict[Point, FloatArray], what: str, variables: Sequence[str] = SCHEDULING) -> GridTable:
     """Return a table from rows at the points of a full grid.
 
     Parameters
     ----------
-    rows : dict of (pressure_bar, speed_rpm) to (n_entries,) array
-        Rows by operating point.
+    rows : dict of point to (n_entries,) array
+        Rows by operating point, such as (pressure_bar, speed_rpm).
     what : str
         What the rows are, for the message.
+    variables : sequence of str
+        Names of the scheduling variables.
 
     Raises
     ------
     UsageError
         When points of the grid are missing.
     """
-    pressures, speeds = (tuple(sorted({point[i] for point in rows})) for i in (0, 1))
-    missing = [(p, s) for p in pressures for s in speeds if (p, s) not in rows]
+    axes = [tuple(sorted(set(values))) for values in zip(*rows, strict=True)]
+    grid = [*product(*axes)]
+    missing = [point for point in grid if point not in rows]
     if missing:
-        p, s = missing[0]
+        where = point_label(*missing[0], variables=variables)
         raise UsageError(
-            f"{what}: the operating points are no full grid, {p:g} bar at {s:g} rpm is missing; add it, or choose one "
-            "operating point (--at BAR RPM)"
+            f"{what}: the operating points are no full grid, {where} is missing; add it, or choose one operating point "
+            "(--at BAR RPM)"
         )
-    values = np.array([[rows[p, s] for s in speeds] for p in pressures])
+    values = np.array([rows[point] for point in grid])
     if len(rows) == 1:
-        return GridTable((), (), values[0])
+        return GridTable(dict.fromkeys(variables, ()), values)
     # the only node of an axis is repeated, so that the source needs one form of interpolation
-    pressures, speeds = (nodes if len(nodes) > 1 else (nodes[0], nodes[0] + 1.0) for nodes in (pressures, speeds))
-    values = np.broadcast_to(values, (len(pressures), len(speeds), values.shape[2]))
-    return GridTable(pressures, speeds, values.reshape(-1, values.shape[2]))
+    nodes = [each if len(each) > 1 else (each[0], each[0] + 1.0) for each in axes]
+    values = values.reshape(*map(len, axes), -1)
+    values = np.broadcast_to(values, (*map(len, nodes), values.shape[-1]))
+    return GridTable(dict(zip(variables, nodes, strict=True)), values.reshape(-1, values.shape[-1]))
 
 
-def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: lpv.Domain) -> GridTable:
-    """Return a table over a rectangle, with as many nodes as the interpolation error requires.
+def table_over_domain(row_at: Callable[..., FloatArray], domain: lpv.Domain) -> GridTable:
+    """Return a table over a domain, with as many nodes as the interpolation error requires.
 
     Parameters
     ----------
     row_at : callable
-        From pressure [bar] and speed [rpm] to the exact row.
+        From the scheduling variables, such as pressure [bar] and speed [rpm], to the exact row.
     domain : Domain
-        The rectangle.
+        The domain.
 
     Returns
     -------
     GridTable
-        Its error is at most `TOLERANCE`, or that of `MOST_NODES` nodes along an axis.
+        Its error is at most `TOLERANCE`, or that of `MOST_NODES` or `FEWER_NODES` along an axis.
     """
-    exact: Any = cache(lambda p, s: np.asarray(row_at(p, s), float))
-    count = [2, 2]
-    while True:
-        pressures, speeds = (
-            np.unique(np.linspace(*bounds, n)).tolist()  # one node where both bounds are equal
-            for bounds, n in zip((domain.pressure_bar, domain.speed_rpm), count, strict=True)
-        )
-        table = table_of_points({(p, s): exact(p, s) for p in pressures for s in speeds}, "schedule")
+    exact: Any = cache(lambda *point: np.asarray(row_at(*point), float))
+    count, most = [2] * len(domain.bounds), MOST_NODES if len(domain.bounds) < 3 else FEWER_NODES
+    while True:  # one node where both bounds are equal
+        axes = [np.unique(np.linspace(*ends, n)).tolist() for ends, n in zip(domain.bounds, count, strict=True)]
+        table = table_of_points({point: exact(*point) for point in product(*axes)}, "schedule", domain.variables)
         if not table.is_scheduled:
             return table
         largest = np.abs(table.rows).max(axis=0)
         scale = np.maximum(largest, max(1e-6 * float(largest.max(initial=0.0)), 1e-300))
-        errors = [0.0, 0.0]
-        for axis, places in enumerate(
-            (
-                [(p, s) for p in _middles(pressures) for s in speeds],
-                [(p, s) for p in pressures for s in _middles(speeds)],
-            )
-        ):
-            for p, s in places:
-                errors[axis] = max(errors[axis], float((np.abs(table.row(p, s) - exact(p, s)) / scale).max()))
-        refined = [e > TOLERANCE / 2 and n < MOST_NODES for e, n in zip(errors, count, strict=True)]
+        errors = []
+        for i, nodes in enumerate(axes):
+            places = product(*axes[:i], [0.5 * (a + b) for a, b in pairwise(nodes)], *axes[i + 1 :])
+            errors.append(max((float((np.abs(table.row(*q) - exact(*q)) / scale).max()) for q in places), default=0.0))
+        refined = [e > TOLERANCE / 2 and n < most for e, n in zip(errors, count, strict=True)]
         if not any(refined):
-            return GridTable(table.pressure_bar, table.speed_rpm, table.rows, sum(errors))
+            return replace(table, error=sum(errors))
         count = [2 * n - 1 if more else n for n, more in zip(count, refined, strict=True)]
-
-
-def _middles(nodes: list[float]) -> list[float]:
-    return [0.5 * (a + b) for a, b in pairwise(nodes)]
 
 
 Kind = Literal["x", "e", "d"]
@@ -520,9 +523,27 @@ class Chain(Brief):
         return any(each.needs_angle for each in self.maps)
 
     @property
+    def _schedules(self) -> list[GridTable]:
+        return [t for t in (self.controller, self.harmonics) if t is not None and t.is_scheduled]
+
+    @property
     def is_scheduled(self) -> bool:
-        """Whether the chain uses pressure and speed."""
-        return self.controller.is_scheduled or (self.harmonics is not None and self.harmonics.is_scheduled)
+        """Whether the chain uses scheduling variables."""
+        return bool(self._schedules)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Scheduling variables beside pressure and speed, which every chain takes."""
+        return tuple(dict.fromkeys(name for t in self._schedules for name in t.axes if name not in SCHEDULING))
+
+    @property
+    def scheduling(self) -> tuple[str, ...]:
+        """Names of all variables that the chain takes."""
+        return (*SCHEDULING, *self.further)
+
+    def row(self, table: GridTable, point: Sequence[float]) -> list[float]:
+        """Return the row of a table at the values of `scheduling`."""
+        return table.row(*(point[self.scheduling.index(name)] for name in table.axes))
 
     @property
     def allocation(self) -> tuple[tuple[float, ...], ...]:
@@ -545,21 +566,17 @@ class Chain(Brief):
         return min(1.0, FADE_FORGETS / self.fade_samples)
 
     @property
-    def point_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Range of pressure and speed that the schedules cover."""
-        tables = [t for t in (self.controller, self.harmonics) if t is not None and t.is_scheduled]
-        if not tables:
-            return (0.0, 0.0), (0.0, 0.0)
-        low_high = [
-            (min(getattr(t, axis)[0] for t in tables), max(getattr(t, axis)[-1] for t in tables))
-            for axis in ("pressure_bar", "speed_rpm")
-        ]
-        return low_high[0], low_high[1]
+    def point_bounds(self) -> tuple[tuple[float, float], ...]:
+        """Range of each variable of `scheduling` that the schedules cover."""
+        axes = [[t.axes[name] for t in self._schedules if name in t.axes] for name in self.scheduling]
+        return tuple((min(q[0] for q in each), max(q[-1] for q in each)) if each else (0.0, 0.0) for each in axes)
 
     @property
-    def point_steps(self) -> tuple[float, float]:
-        """Largest change of pressure and speed per sample that the schedules follow."""
-        return self.options.pressure_rate * self.sample_time, self.options.speed_rate * self.sample_time
+    def point_steps(self) -> tuple[float, ...]:
+        """Largest change of each variable of `scheduling` per sample that the schedules follow."""
+        rates = [self.options.pressure_rate, self.options.speed_rate]
+        rates += [(high - low) / _FASTEST_S for low, high in self.point_bounds[2:]]
+        return tuple(rate * self.sample_time for rate in rates)
 
     @cached_property
     def content_key(self) -> str:
@@ -569,12 +586,12 @@ class Chain(Brief):
             "gbid": __version__,
             "name": self.name,
             "sample_time": self.sample_time,
-            "tables": [[t.pressure_bar, t.speed_rpm, t.rows.tolist()] for t in tables],
+            "tables": [[*t.axes.values(), t.rows.tolist()] for t in tables],
             "sums": [[asdict(term) for term in terms] for terms in (*self.outputs, *self.states)],
             "bins": [] if self.bins is None else [self.bins.angles.tolist(), self.bins.table.tolist()],
             "means": [each.mean.tolist() for each in self.maps],
             "options": asdict(self.options),
-            "channels": [self.input_names, self.output_names],
+            "channels": [self.input_names, self.output_names, *self.further],
         }
         return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
@@ -698,7 +715,7 @@ def chain_of(
     options = options.on(_machine_of(design))
     _check_channels(design.name, inputs, references, options)
     outputs, states = _sums(pattern, model.n_states, len(inputs), len(references))
-    entries = GridTable(table.pressure_bar, table.speed_rpm, table.rows[:, pattern], table.error)
+    entries = replace(table, rows=table.rows[:, pattern])
     maps = _used_maps(runout_maps, len(inputs))
     for recording in still:
         for each in maps:
@@ -717,7 +734,7 @@ def chain_of(
         outputs,
         states,
         maps,
-        _harmonics_table(maps),
+        _harmonics_table(maps, design.variables),
         options,
         inputs,
         references,
@@ -733,17 +750,27 @@ def _controller_table(
 
     def row_at(*point: float) -> FloatArray:
         model = design.sampled_at(*point)
-        models[(point[0], point[1]) if point else None] = model
+        models[point or None] = model
         return _row(model)
 
     if isinstance(design.structure, control.Scheduled):
         table = table_over_domain(row_at, design.structure.domain)
     elif design.structure is None and None not in design.models:
         points = [point for point in design.models if point is not None]
-        table = table_of_points({point: row_at(*point) for point in points}, f"controller {design.name!r}")
+        table = table_of_points(
+            {point: row_at(*point) for point in points}, f"controller {design.name!r}", design.variables
+        )
     else:
-        table = GridTable((), (), row_at()[None])
+        table = GridTable(dict.fromkeys(SCHEDULING, ()), row_at()[None])
+    _check_fields(design.name, table.axes)
     return list(models.items()), table
+
+
+def _check_fields(name: str, variables: Iterable[str]) -> None:
+    """Refuse scheduling variables that cannot be fields of the input in C."""
+    for variable in variables:
+        if variable in _FIELDS or c_name(variable) != variable:
+            raise UsageError(f"controller {name!r}: the input of the chain has {variable} already; rename the variable")
 
 
 def _machine_of(design: control.ControllerDesign) -> lpv.MachineData:
@@ -794,7 +821,7 @@ def _largest_pole(sampled: LinearModel) -> float:
 
 def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
     """Refuse an unstable controller, and a controller with poles beyond half the sampling frequency."""
-    where = "" if point is None else f" at {point_label(*point)}"
+    where = "" if point is None else f" at {point_label(*point, variables=design.variables)}"
     worst = _largest_pole(sampled)
     if worst > _ON_THE_CIRCLE:
         raise UsageError(
@@ -848,20 +875,20 @@ def _used_maps(maps: Sequence[RunoutMap], n_in: int) -> tuple[RunoutMap, ...]:
     return used
 
 
-def _harmonics_table(maps: tuple[RunoutMap, ...]) -> GridTable | None:
+def _harmonics_table(maps: tuple[RunoutMap, ...], scheduling: tuple[str, ...]) -> GridTable | None:
     """Return mean and harmonics of the maps as rows; None without maps or for a table over the angle."""
     if not maps or maps[0].method == "bins":
         return None
     n_orders = max((int(each.orders.max(initial=0)) for each in maps), default=0)
+    names = [*SCHEDULING, *(q for q in scheduling if q not in SCHEDULING and all(q in m.conditions for m in maps))]
     rows = {}
     for each in maps:
         waves = np.zeros((n_orders, 2, len(each.mean)))
         for order, a, b in zip(each.orders, each.cosine, each.sine, strict=True):
             waves[int(order) - 1] = a, b
-        point = (each.conditions.get("pressure_bar", 0.0), each.conditions.get("speed_rpm", 0.0))
+        point = tuple(each.conditions.get(name, 0.0) for name in names)
         if point in rows:
-            raise UsageError(
-                f"there are two run-out maps at {point[0]:g} bar, {point[1]:g} rpm; give the maps of one encoder only"
-            )
+            where = point_label(*point, variables=names)
+            raise UsageError(f"there are two run-out maps at {where}; give the maps of one encoder only")
         rows[point] = np.concatenate([each.mean, waves.ravel()])
-    return table_of_points(rows, "run-out maps")
+    return table_of_points(rows, "run-out maps", names)

@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from gbid.core.compiled import CompilerMissingError, load_library
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, atomic_set, with_text_checksum
 from gbid.core.names import given_path
-from gbid.export.chain import Chain, c_comment, c_number, inverse_widths
+from gbid.export.chain import Chain, GridTable, c_comment, c_number, inverse_widths
 from gbid.export.chain_python import (
     FLOAT_TOLERANCE,
     LARGEST_ANGLE,
@@ -93,10 +94,15 @@ def _values(chain: Chain) -> dict[str, Any]:
         "controller_scheduled": chain.controller.is_scheduled,
         "harmonics_rows": harmonics_rows,
         "harmonics_scheduled": chain.harmonics is not None and chain.harmonics.is_scheduled,
-        "schedules": [(name, table) for name, table in scheduled if table is not None and table.is_scheduled],
+        "schedules": [
+            (name, table, _corners(table, number))
+            for name, table in scheduled
+            if table is not None and table.is_scheduled
+        ],
         "bins": bins,
         "turn": TURN,
         "angle": {"per_turn": 1 / TURN, "turn": WHOLE_TURN, "largest": LARGEST_ANGLE},
+        "point": [f"input->{name}" for name in chain.scheduling],
         "bounds": chain.point_bounds,
         "steps": chain.point_steps,
         "uses_angle_sums": chain.n_orders > 0,
@@ -104,6 +110,18 @@ def _values(chain: Chain) -> dict[str, Any]:
         "state_bytes": _state_bytes(chain),
         "table_bytes": _BYTES[number] * _table_numbers(chain, bins),
     }
+
+
+def _corners(table: GridTable, number: str) -> list[tuple[str, int]]:
+    """Return the weight of each corner of an interval as a C expression, and the distance of its row from the first."""
+    corners = []
+    for up in product((0, 1), repeat=len(table.axes)):
+        weight, at = "", 0
+        for i, (far, nodes) in enumerate(zip(up, table.axes.values(), strict=True)):
+            share = f"way[{i}]" if far else f"({c_number(1.0, number)} - way[{i}])"
+            weight, at = f"({weight} * {share})" if weight else share, at * len(nodes) + far
+        corners.append((weight, at))
+    return corners
 
 
 def _trigonometry(number: str) -> dict[str, Any]:
@@ -145,7 +163,7 @@ def _bins(runout_map: RunoutMap) -> dict[str, Any]:
 
 def _table_numbers(chain: Chain, bins: dict[str, Any] | None) -> int:
     tables = [t for t in (chain.controller, chain.harmonics) if t is not None]
-    numbers = sum(t.rows.size + 2 * (len(t.pressure_bar) + len(t.speed_rpm)) - 2 * t.is_scheduled for t in tables)
+    numbers = sum(t.rows.size + sum(2 * len(nodes) - t.is_scheduled for nodes in t.axes.values()) for t in tables)
     if bins is not None:
         numbers += (1 + 2 * len(bins["mean"])) * len(bins["angle"])
     return int(numbers)
@@ -156,7 +174,7 @@ def _state_bytes(chain: Chain) -> int:
     size = _BYTES[chain.options.number]
     n = len(chain.input_names)
     numbers = max(len(chain.states), 1) + 6 * n + 3
-    return size * (numbers + -(-4 * (2 * n + 8) // size))
+    return size * (numbers + len(chain.further) + -(-4 * (2 * n + 8) // size))
 
 
 # ---- Control chain as compiled C in this process: software in the loop.
@@ -181,6 +199,7 @@ class CompiledChain:
 
     def __init__(self, chain: Chain) -> None:
         plain = replace(chain, name="chain")
+        self._n_inputs = len(chain.input_names) + 2 + len(chain.scheduling)
         self._sizes = len(chain.commands), len(chain.limits), len(chain.input_names)
         header, body = render_source("chain.h.j2", plain), render_source("chain.c.j2", plain)
         source = header + body.replace('#include "chain.h"\n', "") + render_source("chain_run.c.j2", plain)
@@ -208,8 +227,8 @@ class CompiledChain:
         inputs : sequence of ChainInput
             The samples.
         """
-        rows = np.array([(*u.position, u.angle, u.pressure_bar, u.speed_rpm, u.mode) for u in inputs], float)
-        return [self._output(row) for row in self._run(rows.reshape(-1, self._sizes[2] + 4))]
+        rows = np.array([(*u.position, u.angle, *u.point, u.mode) for u in inputs], float)
+        return [self._output(row) for row in self._run(rows.reshape(-1, self._n_inputs))]
 
     def step(self, given: ChainInput) -> ChainOutput:
         """Return the output of one sample.
@@ -221,7 +240,7 @@ class CompiledChain:
         """
         return self.run([given])[0]
 
-    def references(self, position: FloatArray, angle: float, pressure_bar: float, speed_rpm: float) -> FloatArray:
+    def references(self, position: FloatArray, angle: float, *point: float) -> FloatArray:
         """Return the outputs of the controller of one sample in mode CONTROL, r_x and r_y of shape (2,) [m].
 
         Parameters
@@ -230,10 +249,10 @@ class CompiledChain:
             Inputs as measured, p_x and p_y [m].
         angle : float
             Shaft angle [rad].
-        pressure_bar, speed_rpm : float
-            Operating point [bar], [rpm].
+        *point : float
+            Pressure [bar], speed [rpm] and further scheduling variables of the chain.
         """
-        row = np.array([[*position, angle, pressure_bar, speed_rpm, ChainMode.CONTROL]], float)
+        row = np.array([[*position, angle, *point, ChainMode.CONTROL]], float)
         return self._run(row)[0, self._sizes[0] : self._sizes[0] + self._sizes[1]]
 
     def _run(self, rows: FloatArray) -> FloatArray:

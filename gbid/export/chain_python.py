@@ -56,6 +56,8 @@ class ChainInput:
         Operating point [bar], [rpm].
     mode : ChainMode
         What the operator asks for.
+    further : tuple of float
+        Scheduling variables beside pressure and speed, in the order of `Chain.further`.
     """
 
     position: tuple[float, ...]
@@ -63,6 +65,12 @@ class ChainInput:
     pressure_bar: float = 0.0
     speed_rpm: float = 0.0
     mode: ChainMode = ChainMode.CONTROL
+    further: tuple[float, ...] = ()
+
+    @property
+    def point(self) -> tuple[float, ...]:
+        """Scheduling variables in the order of `Chain.scheduling`."""
+        return (self.pressure_bar, self.speed_rpm, *self.further)
 
 
 @dataclass(frozen=True)
@@ -95,9 +103,10 @@ class ChainOutput:
 class _State:
     n: int
     n_in: int
+    n_point: int
     deviation: list[float] = field(default_factory=list)
     x: list[float] = field(default_factory=list)
-    point: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    point: list[float] = field(default_factory=list)
     started: bool = False
     last: list[float] | None = None
     accepted: list[list[float]] = field(default_factory=list)
@@ -110,7 +119,7 @@ class _State:
     fault: ChainFault = ChainFault.NONE
 
     def __post_init__(self) -> None:
-        self.x, self.deviation = [0.0] * self.n, [0.0] * self.n_in
+        self.x, self.deviation, self.point = [0.0] * self.n, [0.0] * self.n_in, [0.0] * self.n_point
         self.spikes, self.same = [0] * self.n_in, [0] * (self.n_in + 1)
 
 
@@ -134,7 +143,7 @@ class PythonChain:
         chain = self._chain
         first = chain.maps[0] if chain.maps else None
         self._prefilter = OnlinePrefilter(first, offset=np.array(chain.zero), median=chain.options.median)
-        self._state = _State(len(chain.states), len(chain.input_names))
+        self._state = _State(len(chain.states), len(chain.input_names), len(chain.scheduling))
 
     def run(self, inputs: Sequence[ChainInput]) -> list[ChainOutput]:
         """Return the outputs of several samples.
@@ -155,7 +164,7 @@ class PythonChain:
             The sample.
         """
         chain, state = self._chain, self._state
-        values = [*given.position, given.pressure_bar, given.speed_rpm]
+        values = [*given.position, *given.point]
         good = all(-LARGEST < v < LARGEST for v in values) and -LARGEST_ANGLE < given.angle < LARGEST_ANGLE
         if good:
             given = replace(given, angle=within_turn(given.angle))
@@ -165,7 +174,7 @@ class PythonChain:
         fade = self._levels(given.mode) * (1.0 / chain.fade_samples)
         ramp = state.ramp * (1.0 / chain.ramp_samples)
 
-        row = chain.controller.row(*state.point)
+        row = chain.row(chain.controller, state.point)
         kinds = {"x": state.x, "e": state.deviation, "d": [0.0] * len(chain.limits)}
         wanted = [fade * _sum(terms, row, kinds) for terms in chain.outputs]
         r = [min(max(w, -limit), limit) for w, limit in zip(wanted, chain.limits, strict=True)]
@@ -186,9 +195,8 @@ class PythonChain:
     def _follow_point(self, given: ChainInput) -> None:
         """Move the operating point of the schedules towards the measured point, with limited rate."""
         state, chain = self._state, self._chain
-        measured = (given.pressure_bar, given.speed_rpm)
         for i, (value, (low, high), step) in enumerate(
-            zip(measured, chain.point_bounds, chain.point_steps, strict=True)
+            zip(given.point, chain.point_bounds, chain.point_steps, strict=True)
         ):
             target = min(max(value, low), high)
             if state.started:
@@ -199,7 +207,7 @@ class PythonChain:
     def _filter(self, given: ChainInput) -> None:
         chain, state = self._chain, self._state
         if chain.harmonics is not None and chain.harmonics.is_scheduled:
-            row, n = np.array(chain.harmonics.row(*state.point)), len(chain.input_names)
+            row, n = np.array(chain.row(chain.harmonics, state.point)), len(chain.input_names)
             waves = row[n:].reshape(chain.n_orders, 2, n)
             orders = np.arange(1.0, chain.n_orders + 1)
             self._prefilter.change_map(
@@ -305,7 +313,8 @@ class SelfTestRow:
     Attributes
     ----------
     given : tuple of float
-        Inputs [m], phi, its change per repetition [rad], pressure [bar], speed [rpm], dither of the inputs [m].
+        Inputs [m], phi, its change per repetition [rad], pressure [bar], speed [rpm], further scheduling variables,
+        dither of the inputs [m].
     marks : tuple of int
         Mode, repetitions, whether p_x is not a number, fault, status.
     expected : tuple of float
@@ -402,7 +411,8 @@ def _drives(chain: Chain, random: np.random.Generator) -> list[_Drive]:
 
 def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> ChainOutput:
     """Return the output after the repetitions of a row, with the operations of the C self-test."""
-    *inputs, angle, turn, pressure, speed, dither = given
+    n = len(drive.position)
+    inputs, (angle, turn, pressure, speed, *further, dither) = given[:n], given[n:]
     for k in range(drive.repeat):
         shift = dither if k % 2 else -dither
         output = twin.step(
@@ -412,6 +422,7 @@ def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> Cha
                 pressure,
                 speed,
                 drive.mode,
+                tuple(further),
             )
         )
     return output

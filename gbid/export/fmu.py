@@ -233,7 +233,7 @@ class UnitController:
 
 def _controller_step(design: ControllerDesign) -> ca.Function:
     """Return the function of one controller sample, with gains at the present pressure and speed if scheduled."""
-    point = ca.SX.sym("point", 2 if isinstance(design.structure, Scheduled) else 0)
+    point = ca.SX.sym("point", len(design.variables) if isinstance(design.structure, Scheduled) else 0)
     if isinstance(design.structure, Scheduled):
         A, B, C, D = _tustin(design, design.structure, ca.vertsplit(point))
         L = _scheduled_gain(design, design.structure, ca.vertsplit(point)).reshape(C.T.shape)
@@ -250,7 +250,7 @@ def _scheduled_gain(design: ControllerDesign, structure: Scheduled, point: list[
     """Return the anti-windup gain, interpolated over the points of the schedule as in the control chain."""
     table = table_over_domain(lambda *at: anti_windup_gain(design.sampled_at(*at)).T.ravel(), structure.domain)
     weight = ca.SX(1)
-    for nodes, value in zip((table.pressure_bar, table.speed_rpm), point, strict=True) if table.is_scheduled else ():
+    for nodes, value in zip(table.axes.values(), point, strict=True) if table.is_scheduled else ():
         inside = ca.fmin(ca.fmax(value, nodes[0]), nodes[-1])
         hats = [ca.pw_lin(inside, ca.DM(nodes), ca.DM(row)) for row in np.eye(len(nodes))]
         weight = ca.kron(weight, ca.vertcat(*hats))

@@ -19,7 +19,6 @@ from gbid.core.yaml_file import write_yaml
 from gbid.export.matlab import Exportable
 from gbid.identify import FitResult, FrequencyData
 from gbid.lpv import LPVModel
-from gbid.lpv.model import TERMS
 from gbid.lpv.model_file import SI_UNITS, save_model
 from gbid.structure import KEY_PARAMETERS, LinearModel
 from gbid.structure.models import phase_in_degrees
@@ -74,7 +73,7 @@ def save_csv(
             )
         table = _responses(what.linear_model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
     elif isinstance(what, LPVModel):
-        what.need_bearing()
+        what.need_bearing(None)
         table = _coefficients(what)
     elif isinstance(what, FitResult):
         table = _parameters(what)
@@ -120,7 +119,7 @@ def _coefficients(model: LPVModel) -> Table:
     rows: list[Sequence[Value]] = [
         (key, SI_UNITS[key.split("_")[0]], *model.coefficients[key]) for key in KEY_PARAMETERS
     ]
-    return plain_table(("parameter", "unit", *TERMS), rows)
+    return plain_table(("parameter", "unit", *model.terms), rows)
 
 
 def _responses(model: LinearModel, frequency_hz: FloatArray) -> Table:

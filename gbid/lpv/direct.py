@@ -82,6 +82,7 @@ def fit_lpv_direct(
         When a recording has no operating point, or the operating points do not determine the terms.
     """
     model = start.model if isinstance(start, LPVFit) else start
+    model.need_bearing()
     structure = structure or RotorBearing()
     names = [q.name for q in structure.parameters]
     if kind_of(equations_of(structure)).nonlinear:

@@ -192,12 +192,12 @@ class Estimates(Brief):
     """
 
     recordings: tuple[str, ...]
-    points: Annotated[FloatArray, Stored("bar and rpm", "operating points of the recordings", "n 2")]
+    points: Annotated[FloatArray, Stored("bar and rpm", "operating points of the recordings", "n v")]
     values: Annotated[FloatArray, Stored("SI per kg", "estimates, recordings by parameters", "n k")]
     covariance: Annotated[FloatArray, Stored("SI per kg", "their covariances", "n k k")]
     left_out: tuple[str, ...] = ()
     parameters: Annotated[tuple[str, ...], NOT_STORED] = KEY_PARAMETERS
-    scheduling: Annotated[tuple[str, ...], NOT_STORED] = SCHEDULING
+    scheduling: Annotated[tuple[str, ...], Stored(late=True)] = SCHEDULING
 
     def __post_init__(self) -> None:
         n, k = len(self.recordings), len(self.parameters)
@@ -244,7 +244,8 @@ def as_estimates(
     fits : FitTable, sequence of FitResult, or Estimates
         Fits with all parameters.
     points : sequence of points, optional
-        Operating point of each fit result, in the order of `scheduling`; a table contains those of a gas bearing.
+        Operating point of each fit result or row, in the order of `scheduling`; a table contains those over pressure
+        and speed.
     parameters, scheduling : tuple of str
         Names of parameters and scheduling variables.
 
@@ -263,8 +264,11 @@ def as_estimates(
     if isinstance(fits, Estimates):
         return _finite(fits, [""] * len(fits.recordings))
     if isinstance(fits, FitTable):
-        if points is not None:
+        if points is not None and scheduling == SCHEDULING:
             raise UsageError("points: a table of fits contains its operating points; leave points out")
+        grid = np.stack([fits.pressure_bar, fits.speed_rpm], axis=-1)
+        if scheduling != SCHEDULING:
+            grid = _grid(points, len(fits.recordings), scheduling)
         kinds = list(dict.fromkeys(fits.fit.tolist()))
         if len(kinds) > 1:
             raise UsageError(f"the table holds the fits {', '.join(kinds)}; choose one: table.select(fit=...)")
@@ -274,42 +278,53 @@ def as_estimates(
         columns = [fits.parameter_names.index(key) for key in KEY_PARAMETERS]
         estimates = Estimates(
             tuple(" + ".join(names) for names in fits.recordings),
-            np.stack([fits.pressure_bar, fits.speed_rpm], axis=-1),
+            grid,
             fits.values[:, columns],
             fits.covariance_of(KEY_PARAMETERS),
+            scheduling=scheduling,
         )
         fitted = fits.structure != ""
         rows = zip(fits.success.tolist(), fitted.tolist(), fits.status.tolist(), strict=True)
         return _finite(
             estimates, [_reason(success, str(status) if not fitted else "") for success, fitted, status in rows]
         )
-    what = f"({', '.join(scheduling)})"
-    if points is None or len(points) != len(fits):
-        given = "none" if points is None else str(len(points))
-        raise UsageError(f"points: give the {what} of each of the {len(fits)} fits; there are {given}")
+    grid = _grid(points, len(fits), scheduling)
     names, values, covariances = [], [], []
     for fit in fits:
         name = " + ".join(fit.recordings)
         missing = [key for key in parameters if key not in fit.parameters]
         if missing:
-            raise UsageError(f"fit of {name!r} has no {', '.join(missing)}; the surfaces need {', '.join(parameters)}")
+            hint = "; for another machine give structure=..." if parameters == KEY_PARAMETERS else ""
+            what = ", ".join(parameters)
+            raise UsageError(f"fit of {name!r} has no {', '.join(missing)}; the surfaces need {what}{hint}")
         names.append(name)
         values.append([fit.parameters[key] for key in parameters])
         covariances.append(covariance_of(fit, parameters))
-    try:
-        grid = np.array([np.asarray(point, float).reshape(len(scheduling)) for point in points])
-    except (TypeError, ValueError):
-        raise UsageError(f"points: give {what} as numbers for each fit") from None
     k = len(parameters)
     estimates = Estimates(
         tuple(names),
-        grid.reshape(-1, len(scheduling)),
+        grid,
         np.reshape(values, (-1, k)),
         np.reshape(np.array(covariances), (len(names), k, k)),
         parameters=parameters,
         scheduling=scheduling,
     )
     return _finite(estimates, [_reason(fit.success) for fit in fits])
+
+
+def _grid(
+    points: Sequence[Sequence[float]] | Sequence[float] | None, n: int, scheduling: tuple[str, ...]
+) -> FloatArray:
+    """Return operating points of n fits as an array (n, n_variables)."""
+    what = f"({', '.join(scheduling)})"
+    if points is None or len(points) != n:
+        given = "none" if points is None else str(len(points))
+        raise UsageError(f"points: give the {what} of each of the {n} fits; there are {given}")
+    try:
+        rows = [np.asarray(point, float).reshape(len(scheduling)) for point in points]
+    except (TypeError, ValueError):
+        raise UsageError(f"points: give {what} as numbers for each fit") from None
+    return np.array(rows).reshape(-1, len(scheduling))
 
 
 def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:

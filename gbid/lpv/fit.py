@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core import hdf5
-from gbid.core.arrays import FloatArray, one_blas_thread, point_label
+from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame
@@ -28,7 +28,6 @@ from gbid.lpv.estimates import Estimates, Order, as_estimates, orthonormal
 from gbid.lpv.model import (
     EXPONENTS,
     SCHEDULING,
-    TERMS,
     Deviation,
     LPVModel,
     characteristics,
@@ -114,7 +113,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         hdf5.write_fields(group, self)
         group.attrs.update({"model": self.model.name, "success": self.success})
         hdf5.add_texts(group, "parameters", KEY_PARAMETERS)
-        hdf5.add_texts(group, "terms", TERMS)
+        hdf5.add_texts(group, "terms", self.model.terms)
         long_name = "coefficients, parameters by terms"
         hdf5.add_dataset(group, "coefficients", self.coefficients, "SI per kg, bar, rpm", long_name)
 
@@ -211,9 +210,14 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
         yield from (f"note: {note}" for note in self.notes)
 
     def figures(self) -> list[Figure]:
-        """Return modes and delays over pressure, and surfaces of the other parameters, with estimates."""
+        """Return modes and delays over pressure, and surfaces of the other parameters, with estimates.
+
+        Over two other scheduling variables there are the surfaces alone, over one or three no pictures.
+        """
         over = {"frequency": "natural frequencies", "damping": "damping factors", "delay": "delays"}
         surfaces = {"k": "stiffness", "d": "damping", "b": "piezo influence"}
+        if self.model.scheduling != SCHEDULING:
+            over, surfaces = {}, surfaces if len(self.model.scheduling) == 2 else {}
         return [
             *(Figure("plot_over_pressure", f"{over[q]} over pressure", (self,), {"what": q}) for q in over),
             *(Figure("plot_surfaces", f"{surfaces[q]} as surfaces", (self,), {"letter": q}) for q in surfaces),
@@ -254,7 +258,7 @@ class LPVFit(Brief, Pictured, hdf5.InFile):
 
         Columns are in the order of `CHARACTERISTICS`. They are those of a gas bearing.
         """
-        self.model.need_bearing()
+        self.model.need_bearing(None)
         return characteristics(self.estimates.values), characteristics(self.surface)
 
     @property
@@ -376,8 +380,8 @@ def fit_lpv(
 ) -> LPVFit:
     """Return surfaces over the scheduling variables, fitted to the parameters of many fits.
 
-    Without `structure` the machine is a rotor on a gas bearing: the surfaces of the fourteen key parameters over
-    pressure and speed. With it, any parameters of any structure over any scheduling variables.
+    Without `structure` the machine is a rotor on a gas bearing: the surfaces are those of the fourteen key parameters.
+    With it, they are those of any parameters of any structure.
 
     Parameters
     ----------
@@ -385,12 +389,12 @@ def fit_lpv(
         One row or result for each recording, with all parameters of the surfaces. Fits that did not converge or are
         not finite are left out and listed.
     points : sequence of points, optional
-        Operating point of each fit result, in the order of `scheduling`; (pressure_bar, speed_rpm) for a gas bearing.
-        A table contains them. With one scheduling variable a sequence of numbers.
+        Operating point of each fit result or row, in the order of `scheduling`; by default (pressure_bar, speed_rpm),
+        which a table contains. With one scheduling variable a sequence of numbers.
     structure : Structure, optional
         Structure of the fits, for a machine other than the gas bearing.
     scheduling : str or sequence of str
-        Names of the scheduling variables; only with `structure`.
+        Names of the scheduling variables, such as ``("pressure_bar", "eccentricity")``.
     parameters : sequence of str, optional
         Parameters that become surfaces; by default all that the fits estimate. The others are held at their mean over
         the fits. Only with `structure`.
@@ -401,9 +405,9 @@ def fit_lpv(
         coefficients comes from the residuals (HC3), so that machines may scatter more at some operating points than at
         others; for the first it is tempered with the model, which counts as one recording more at each value.
     order : int, "auto" or sequence of str
-        Order of the polynomials: 0 to 2 for a gas bearing, 0 to 3 with `structure`. ``"auto"`` chooses it up to 2 by
+        Order of the polynomials: 0 to 2 over pressure and speed, else 0 to 3. ``"auto"`` chooses it up to 2 by
         cross-validation over operating points, without terms in a variable that does not vary. A sequence names terms:
-        those of `TERMS`, or with `structure` names such as ``"1", "gap", "gap^2", "gap current"``.
+        those of `TERMS`, or names such as ``"1", "gap", "gap^2", "gap current"``.
     robust : bool
         Whether estimates far from a surface get less weight (Huber).
     actuators : dict of str to float, optional
@@ -428,20 +432,22 @@ def fit_lpv(
         remains, or when a fit has no covariance for the weights.
     """
     variables = as_names(scheduling)
+    if len(set(variables)) < len(variables) or not variables:
+        raise UsageError(f"scheduling = {list(variables)}; give each variable once, and at least one")
     notes: tuple[str, ...] = ()
     of_structure: dict[str, Any] = {}
     if structure is None:
-        if variables != SCHEDULING or parameters is not None:
+        if parameters is not None:
             raise UsageError(
-                "fit_lpv: scheduling and parameters need the structure of the fits, structure=...; without one the "
-                "model is that of a gas bearing over pressure_bar and speed_rpm"
+                "fit_lpv: parameters need the structure of the fits, structure=...; without one the surfaces are those "
+                "of the key parameters of a gas bearing"
             )
-        estimates = as_estimates(fits, points)
+        estimates = as_estimates(fits, points, scheduling=variables)
     elif isinstance(fits, FitTable | Estimates) or actuators is not None:
         what = "actuators belong" if actuators is not None else "a table of fits belongs"
         raise UsageError(f"fit_lpv: {what} to the model of a gas bearing; give fit results and their points")
     else:
-        surfaces = _surfaces(fits, structure, variables, parameters)
+        surfaces = _surfaces(fits, structure, parameters)
         estimates = as_estimates(fits, points, surfaces, variables)
         of_structure, notes = _beside_surfaces(fits, structure, surfaces)
     if weighting != "ordinary":
@@ -485,15 +491,11 @@ def fit_lpv(
     )
 
 
-def _surfaces(
-    fits: Sequence[FitResult], structure: Structure, scheduling: tuple[str, ...], parameters: Sequence[str] | None
-) -> tuple[str, ...]:
+def _surfaces(fits: Sequence[FitResult], structure: Structure, parameters: Sequence[str] | None) -> tuple[str, ...]:
     """Parameters of a structure that become surfaces; refuses fits of another structure and unknown names."""
     if not fits or any(fit.structure != structure.name for fit in fits):
         names = ", ".join(sorted({fit.structure for fit in fits})) or "none"
         raise UsageError(f"fit_lpv: the fits are of {names}; give fits of the structure {structure.name!r}")
-    if len(set(scheduling)) < len(scheduling) or not scheduling:
-        raise UsageError(f"scheduling = {list(scheduling)}; give each variable once, and at least one")
     known = [parameter.name for parameter in structure.parameters]
     chosen = tuple(key for key in known if key in fits[0].free) if parameters is None else tuple(parameters)
     unknown = [key for key in chosen if key not in known]
@@ -523,15 +525,15 @@ def _beside_surfaces(
 def _negative_delays(model: LPVModel) -> tuple[str, ...]:
     """Return notes on operating points of the domain with a negative delay of a gas bearing."""
     delays = [key for key in ("tau_x", "tau_y") if key in model.coefficients]
-    if not delays or model.scheduling != SCHEDULING:
+    if not delays:
         return ()
-    grid = np.meshgrid(*(np.linspace(low, high, 41) for low, high in model.domain.bounds))
-    pressure, speed = (side.ravel() for side in grid)
-    values = model.key_parameters(pressure, speed)
+    n = max(3, round(41 ** (2 / max(2, len(model.scheduling)))))
+    grid = [side.ravel() for side in np.meshgrid(*(np.linspace(*ends, n) for ends in model.domain.bounds))]
+    values = model.key_parameters(*grid)
     return tuple(
         SurfaceNote.NEGATIVE_DELAY(
             f"{key} is negative in part of the domain, {1e3 * values[key][at]:.3g} ms at "
-            f"{point_label(pressure[at], speed[at])}; the model cannot be used there"
+            f"{model.domain.label(*(side[at] for side in grid))}; the model cannot be used there"
         )
         for key in delays
         if values[key][at := int(np.argmin(values[key]))] < 0

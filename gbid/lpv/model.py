@@ -19,6 +19,7 @@ from gbid.core.errors import ExtrapolationWarning, UsageError
 from gbid.core.option_types import Positive, check_options, checks_arguments
 from gbid.discretise.exact import check_holds
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
+from gbid.structure.delay import with_pade
 from gbid.structure.linear import Structure, model_function
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
 
@@ -147,6 +148,10 @@ class Domain:
     def speed_rpm(self) -> tuple[float, float]:
         """Lowest and highest rotational speed [rpm]."""
         return self.ranges["speed_rpm"]
+
+    def label(self, *point: float) -> str:
+        """Return the label of an operating point, see `gbid.core.arrays.point_label`."""
+        return point_label(*point, variables=self.variables)
 
     @property
     def corners(self) -> FloatArray:
@@ -434,15 +439,15 @@ class LPVModel(Brief):
         place = self._in_order(point, variables, scalar=True)
         values = self._values(place, extrapolate)
         structure = self.structure or _bearing(self.pade_order if pade_order is None else pade_order)
-        model = self._evaluate(structure, values, place, self.input_names)
+        model = self._evaluate(structure, values, place, self.input_names, self.output_names)
         return replace(model, intersample=check_holds(structure.intersample, len(self.input_names)))
 
     def plant_at(
         self, *point: float, pade_order: int | None = None, extrapolate: bool = False, **variables: float
     ) -> LinearModel:
-        """Return the plant ``G = G_rb G_act`` of a gas bearing at one operating point, from r to p (Eq. 20).
+        """Return the plant at one operating point; of a gas bearing ``G = G_rb G_act``, from r to p (Eq. 20).
 
-        Parameters, errors and warnings are those of `at`. A model without actuators is refused.
+        Parameters, errors and warnings are those of `at`. A gas bearing without actuators is refused.
 
         Parameters
         ----------
@@ -452,28 +457,54 @@ class LPVModel(Brief):
         Returns
         -------
         LinearModel
-            Model in continuous time with inputs r_x, r_y and outputs p_x, p_y [m].
+            Model in continuous time; of a gas bearing with inputs r_x, r_y and outputs p_x, p_y [m].
         """
-        if not self.actuators:
-            raise UsageError(f"model {self.name!r} has no actuators; give them in its file under 'actuators'")
         place = self._in_order(point, variables, scalar=True)
         values = {**self.actuators, **self._values(place, extrapolate)}
-        bearing = _bearing(self.pade_order if pade_order is None else pade_order)
-        return self._evaluate(Plant(bearing, PiezoPair(), outputs=("p",)), values, place, ("r_x", "r_y"))
+        structure = self.plant_structure(self.pade_order if pade_order is None else pade_order)
+        return with_pade(self._evaluate(structure, values, place, *self.channels(structure)))
 
-    def need_bearing(self) -> None:
-        """Refuse a model that is no gas bearing, where key parameters over pressure and speed are needed.
+    def channels(self, plant: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the names of the inputs and outputs of `plant_structure`."""
+        piezos = (("r_x", "r_y"), ("p_x", "p_y"))
+        return piezos if isinstance(plant, Plant) else (self.input_names, self.output_names)
+
+    def plant_structure(self, pade_order: int | None) -> Structure:
+        """Return the equations of `plant_at`, with exact delays for the order None.
 
         Raises
         ------
         UsageError
-            When the model has a structure of its user.
+            When a gas bearing has no actuators.
         """
+        if isinstance(self.structure, Plant):
+            return Plant(_bearing(pade_order), self.structure.actuators, outputs=("p",))
+        if self.structure is not None and not isinstance(self.structure, RotorBearing):
+            return self.structure
+        if not self.actuators:
+            raise UsageError(f"model {self.name!r} has no actuators; give them in its file under 'actuators'")
+        return Plant(_bearing(pade_order), PiezoPair(), outputs=("p",))
+
+    def need_bearing(self, scheduling: tuple[str, ...] | None = SCHEDULING) -> None:
+        """Refuse a model that is no gas bearing over pressure and speed.
+
+        Parameters
+        ----------
+        scheduling : tuple of str, optional
+            Needed scheduling variables; None for any.
+
+        Raises
+        ------
+        UsageError
+            When the model has a structure of its user, or other scheduling variables.
+        """
+        over = f"over {' and '.join(scheduling or self.scheduling)}; give model.at(...), which is linear"
         if self.structure is not None:
-            raise UsageError(
-                f"model {self.name!r} is one of {self.structure.name!r}; this needs the model of a gas bearing over "
-                f"{' and '.join(SCHEDULING)}; give model.at(...), which is linear"
-            )
+            text = f"model {self.name!r} is one of {self.structure.name!r}; this needs the model of a gas bearing"
+            raise UsageError(f"{text} {over}")
+        if scheduling not in (None, self.scheduling):
+            text = f"model {self.name!r} is over {' and '.join(self.scheduling)}; this needs a model"
+            raise UsageError(f"{text} {over}")
 
     def _in_order(self, point: Sequence[Any], variables: Mapping[str, Any], scalar: bool = False) -> tuple[Any, ...]:
         """Return scheduling variables, given by position or name, in the order of the domain."""
@@ -500,21 +531,20 @@ class LPVModel(Brief):
         return {key: value + shape for key, value in values.items()}
 
     def _evaluate(
-        self, structure: Any, values: Mapping[str, float], place: tuple[float, ...], inputs: tuple[str, ...]
+        self, structure: Any, values: Mapping[str, float], place: tuple[float, ...], *channels: tuple[str, ...]
     ) -> LinearModel:
-        label = ", ".join(f"{name} {value:g}" for name, value in zip(self.scheduling, place, strict=True))
-        label = point_label(*place) if self.scheduling == SCHEDULING else label
+        label = self.domain.label(*place)
         for key in ("tau_x", "tau_y"):
             if values.get(key, 1.0) <= 0:
                 raise UsageError(
                     f"model {self.name!r}: {key} = {values[key]:g} s at {label}; "
                     "the polynomials do not hold where a delay is not positive"
                 )
-        return replace(model_function(structure)(values, inputs, self.output_names), name=f"{self.name} at {label}")
+        return replace(model_function(structure)(values, *channels), name=f"{self.name} at {label}")
 
 
 @lru_cache(maxsize=8)
-def _bearing(pade_order: int) -> RotorBearing:
+def _bearing(pade_order: int | None) -> RotorBearing:
     """Return the rotor on its gas bearing without disturbance gains; refuses a Padé order below one."""
     return RotorBearing(pade_order, disturbance_gain="none")
 

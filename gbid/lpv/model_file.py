@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,6 +18,7 @@ from gbid.core.units import conversion_factor
 from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
 from gbid.lpv.model import TERMS, Domain, LPVModel, MachineData
 from gbid.structure import KEY_PARAMETERS
+from gbid.structure.scheduling import HIGHEST_ORDER, SCHEDULING, Exponents, exponents_of, term_name
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 """A finite number; text and booleans are refused when a file is read."""
@@ -214,20 +215,12 @@ SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
 """Unit of each group of key parameters in a `LPVModel`."""
 
 Range = tuple[Number, Number]
-Row = Annotated[tuple[Number, ...], Field(min_length=len(TERMS), max_length=len(TERMS))]
-
-
-@dataclass(frozen=True)
-class DomainTable(FileTable):
-    """Ranges of pressure [bar] and speed [rpm] in which a model is valid."""
-
-    pressure_bar: Range
-    speed_rpm: Range
+Row = Annotated[tuple[Number, ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
 class KeyParameterTable(FileTable):
-    """Coefficients of Eq. 16, with the unit of the first coefficient and the factor to SI."""
+    """Coefficients of the terms (Eq. 16), with the unit of the first coefficient and the factor to SI."""
 
     terms: tuple[str, ...]
     coefficients: dict[str, Row]
@@ -256,12 +249,12 @@ class ModelFile(FileTable):
     kind: Literal["lpv_model"]
     schema_version: Literal[1]
     name: Annotated[str, Field(min_length=1)]
-    domain: DomainTable
+    domain: Annotated[dict[str, Range], Field(min_length=1)]
     key_parameters: KeyParameterTable
     title: str = ""
     source: str = ""
     pade_order: Annotated[int, Field(ge=1, strict=True)] = 1
-    operating_points: tuple[tuple[Number, Number], ...] = ()
+    operating_points: tuple[tuple[Number, ...], ...] = ()
     actuators: ActuatorTable | None = None
     controller: ProportionalDesign | None = None
     corrections: tuple[Correction, ...] = ()
@@ -279,13 +272,14 @@ def parse(file: YamlFile) -> PublishedMachine:
         When the file has problems; one line for each, as ``file:line:col: what``.
     """
     table = ModelFile.read(file)
-    _check_key_parameters(file, table.key_parameters)
-    values = _correct(file, table)
+    exponents = _check_key_parameters(file, table)
+    values, terms = _correct(file, table), table.key_parameters.terms
     try:
         model = LPVModel(
             name=table.name,
-            coefficients=_coefficients(values),
-            domain=Domain(table.domain.pressure_bar, table.domain.speed_rpm),
+            coefficients=_coefficients(values, terms),
+            domain=Domain(*table.domain.values(), variables=tuple(table.domain)),
+            exponents=exponents,
             actuators={name: values[name] for name in _actuator_values(table)},
             pade_order=table.pade_order,
             operating_points=table.operating_points,
@@ -297,7 +291,7 @@ def parse(file: YamlFile) -> PublishedMachine:
     except UsageError as error:
         raise UsageError(f"{file.path}: {error}") from None
     alternatives = {
-        f"{q.entry} = {value:g}": replace(model, coefficients=_coefficients(values | {q.entry: value}))
+        f"{q.entry} = {value:g}": replace(model, coefficients=_coefficients(values | {q.entry: value}, terms))
         for q in table.corrections
         for value in ((q.corrected, *q.alternatives) if q.alternatives else ())
     }
@@ -326,10 +320,10 @@ def _machine_data(file: YamlFile, rig: Mapping[str, Quantity]) -> MachineData:
     return MachineData(**known)
 
 
-def _coefficients(values: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
+def _coefficients(values: Mapping[str, float], terms: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """Return the coefficients in SI units per kg from the table entries."""
     scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
-    return {key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS}
+    return {key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in terms) for key in KEY_PARAMETERS}
 
 
 def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
@@ -338,7 +332,7 @@ def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
     values: dict[str, float] = {
         f"{key}[{term}]": value
         for key, row in key_parameters.coefficients.items()
-        for term, value in zip(TERMS, row, strict=True)
+        for term, value in zip(key_parameters.terms, row, strict=True)
     }
     values |= {f"scale[{group}]": factor for group, factor in key_parameters.scale.items()}
     values |= _actuator_values(table)
@@ -362,13 +356,24 @@ def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
     return values
 
 
-def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
-    """Refuse a different order of terms, and missing or unknown names."""
-    if table.terms != TERMS:
-        raise UsageError(
-            f"{file.position(('key_parameters', 'terms'))}: terms = [{', '.join(table.terms)}]; "
-            f"the order must be [{', '.join(TERMS)}]"
-        )
+def _check_key_parameters(file: YamlFile, model: ModelFile) -> Exponents:
+    """Return the powers of the terms; refuse other terms, missing or unknown names, and points of another length."""
+    table, variables = model.key_parameters, tuple(model.domain)
+    known = {term_name(powers, variables): powers for powers in exponents_of(HIGHEST_ORDER, len(variables))}
+    is_bearing, where = variables == SCHEDULING, file.position(("key_parameters", "terms"))
+    if is_bearing and table.terms != TERMS:
+        raise UsageError(f"{where}: terms = [{', '.join(table.terms)}]; the order must be [{', '.join(TERMS)}]")
+    if len(set(table.terms)) < len(table.terms) or not known.keys() >= set(table.terms):
+        raise UsageError(f"{where}: terms = [{', '.join(table.terms)}]; choose from {', '.join(known)}, each once")
+    for key, row in table.coefficients.items():
+        if len(row) != len(table.terms):
+            at = ("key_parameters", "coefficients", key)
+            text = f"{'.'.join(at)} has {len(row)} numbers for {len(table.terms)} terms; give one for each term"
+            raise UsageError(f"{file.position(at)}: {text}")
+    for i, point in enumerate(model.operating_points):
+        if len(point) != len(variables):
+            text = f"{len(point)} numbers; give {', '.join(variables)}"
+            raise UsageError(f"{file.position(('operating_points', i))}: {text}")
     for field_name, given, expected in (
         ("coefficients", table.coefficients, KEY_PARAMETERS),
         ("unit", table.unit, tuple(SI_UNITS)),
@@ -380,6 +385,7 @@ def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
             where = file.position(("key_parameters", field_name, *unknown[:1]))
             problem = f"{', '.join(unknown)} unknown" if unknown else f"{', '.join(missing)} missing"
             raise UsageError(f"{where}: {field_name}: {problem}; expected {', '.join(expected)}")
+    return tuple(known[term] for term in table.terms)
 
 
 def _actuator_values(table: ModelFile) -> dict[str, float]:
@@ -475,7 +481,7 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
 
 def write_model(model: LPVModel, path: Path) -> None:
     """Write a model as YAML."""
-    model.need_bearing()
+    model.need_bearing(None)
     write_yaml(_contents(model), path)
 
 
@@ -491,7 +497,7 @@ def _contents(model: LPVModel) -> dict[str, Any]:
         "pade_order": model.pade_order,
         "operating_points": [list(point) for point in model.operating_points],
         "key_parameters": {
-            "terms": list(TERMS),
+            "terms": list(model.terms),
             "unit": dict(SI_UNITS),
             "scale": dict.fromkeys(SI_UNITS, 1.0),
             "coefficients": {key: list(values) for key, values in model.coefficients.items()},

@@ -127,6 +127,18 @@ def symbol(name: str) -> str:
 LayoutName = Literal["constrained"]
 
 PRESSURE = "injection pressure [bar]"
+
+
+def scheduling_axis(variable: str) -> tuple[float, str]:
+    """Return factor and label of the axis of a scheduling variable."""
+    return {"pressure_bar": (1.0, PRESSURE), "speed_rpm": (1e-3, "speed [1000 rpm]")}.get(variable, (1.0, variable))
+
+
+def scheduling_words(variables: Sequence[str]) -> str:
+    """Return scheduling variables as text: ``"pressure and speed"``, ``"pressure and eccentricity"``."""
+    return " and ".join({"pressure_bar": "pressure", "speed_rpm": "speed"}.get(name, name) for name in variables)
+
+
 """Label of an axis."""
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
 """Widths of figures in a report of two columns [inch]."""

@@ -27,6 +27,7 @@ from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
 from gbid.experiment.stages.cycle import rounds_table
 from gbid.experiment.stages.loop import cost_tables, made_costs
+from gbid.report.canvas import scheduling_words
 from gbid.report.explorer import explorer_part
 from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
 from gbid.report.loop_pictures import (
@@ -54,7 +55,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     """Return pictures of a design: its worst operating point, and its damping over the operating range."""
     worst, point = design.figures.worst["sampled_damping"]
     row = int(np.flatnonzero((design.figures.points == point).all(axis=1))[0])
-    place, plant, controller = point_label(*point), design.plant.plant_at(*point), design.at(point)
+    place, plant, controller = design.figures.where(row), design.plant.plant_at(*point), design.at(point)
     title = f"{design.name}, {place}"
     locus = root_locus_data(
         plant, lambda f: replace(controller, C=f * controller.C, D=f * controller.D), _FACTORS, title=title
@@ -69,7 +70,7 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     )
     shown: list[Block] = [
         Shown(pictures.picture(plot_root_locus(locus), f"Root locus over a factor on the gains of {title}")),
-        _damping_map(pictures, design),
+        *([_damping_map(pictures, design)] if len(design.plant.scheduling) == 2 else []),
         *(_impact(pictures, design, plant, controller, place, axis) for axis in "xy"),
     ]
     return [
@@ -87,7 +88,7 @@ def _shown_frequencies(plant: LinearModel, sample_time: float) -> FloatArray:
 
 
 def design_damping_map(design: AssessedDesign) -> DampingMap:
-    """Return the smallest damping factor of the sampled loop of a design over pressure and speed."""
+    """Return the smallest damping factor of the sampled loop of a design over its two scheduling variables."""
     return damping_map_data(
         design.plant,
         design.at,
@@ -106,8 +107,8 @@ def _sampled_words(design: AssessedDesign) -> str:
 def _damping_map(pictures: Pictures, design: AssessedDesign) -> Block:
     data = design_damping_map(design)
     alt = (
-        f"Smallest damping factor over pressure and speed, {data.title}, from {data.damping.min():.3f} to "
-        f"{data.damping.max():.3f}; operating points marked"
+        f"Smallest damping factor over {scheduling_words(data.variables)}, {data.title}, from "
+        f"{data.damping.min():.3f} to {data.damping.max():.3f}; operating points marked"
     )
     return Shown(pictures.picture(plot_damping_map(data), alt))
 
@@ -208,7 +209,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection | No
 def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
     first = designs[0]
     points = first.figures.points
-    where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+    where = first.figures.where(0) if len(points) == 1 else f"{len(points)} operating points"
     conditions = conditions_words(first.impact, first.sample_time, first.method)
     title = f"Designs on {first.plant.name}, worst over {where}"
     return [comparison_table(title, [design.figures for design in designs], conditions)]
@@ -242,8 +243,8 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
 def _by_point(design: AssessedDesign) -> Block:
     shown = {name: POINT_FIGURES[name] for name in _BY_POINT if not isnan(design.figures.worst[name][0])}
     rows: list[list[Entry]] = [
-        [point_label(*point), *(figure.factor * design.figures.at(i)[name] for name, figure in shown.items())]
-        for i, point in enumerate(design.figures.points)
+        [design.figures.where(i), *(figure.factor * design.figures.at(i)[name] for name, figure in shown.items())]
+        for i in range(len(design.figures.points))
     ]
     columns = [Column("operating point"), *(Column(figure.heading, format=figure.format) for figure in shown.values())]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])

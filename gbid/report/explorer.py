@@ -12,7 +12,7 @@ from gbid.control.controllers.built_in import PStructure
 from gbid.control.controllers.structures import p_controller
 from gbid.control.loop.close import close_loop
 from gbid.control.loop.norm import largest_singular_values
-from gbid.core.arrays import FloatArray, is_real, point_label
+from gbid.core.arrays import FloatArray, is_real
 from gbid.lpv import LPVModel
 from gbid.report.page import Templated, packed
 
@@ -45,10 +45,10 @@ def explorer_part(model: LPVModel, source: str, designs: Sequence[tuple[str, Any
             corner = 1e3 * gains["lowpass_khz"] if structure.tune_corner else structure.lowpass_hz
             buttons.append((name, gains["kappa_x"], gains["kappa_y"], corner))
     corner = buttons[-1][-1] if buttons else _CORNER_HZ
-    ranges = model.domain.pressure_bar, model.domain.speed_rpm
-    points = model.operating_points or [[sum(ends) / 2 for ends in ranges]]
+    points = model.operating_points or [[sum(ends) / 2 for ends in model.domain.bounds]]
     spread = np.unique(np.linspace(0, len(points) - 1, _MOST_POINTS).round().astype(int))
-    grids = [{"label": point_label(*point), **loop_grid(model, point, corner)} for point in (points[i] for i in spread)]
+    chosen = [points[i] for i in spread]
+    grids = [{"label": model.domain.label(*point), **loop_grid(model, point, corner)} for point in chosen]
     shown = [
         ("no feedback", 0.0, 0.0),
         *((name, x, y) for name, x, y, button_corner in buttons if button_corner == corner),

@@ -14,15 +14,15 @@ from gbid.control.assessment import DesignFigures, TunedDesign, assessed_alike
 from gbid.control.loop.close import Method, close_loop, sample_controller, sample_plant, smallest_damping
 from gbid.control.loop.sampled import exact_plant
 from gbid.control.loop.sensitivity import SensitivityData
-from gbid.core.arrays import ComplexArray, FloatArray, point_label
+from gbid.core.arrays import ComplexArray, FloatArray, Point, point_label
 from gbid.core.brief import Brief
-from gbid.core.errors import DataError
+from gbid.core.errors import DataError, UsageError
 from gbid.experiment.stages.cycle import CycleRow
 from gbid.lpv import LPVModel
+from gbid.lpv.model import SCHEDULING
 from gbid.report.canvas import (
     BLACK,
     GREY,
-    PRESSURE,
     RED,
     SERIES,
     TWO_COLUMNS,
@@ -32,6 +32,7 @@ from gbid.report.canvas import (
     letter,
     one_panel,
     panels,
+    scheduling_axis,
     series,
     styled,
 )
@@ -52,6 +53,8 @@ class DampingMap(Brief):
         Smallest damping factor; negative for an unstable loop.
     points : (k, 2) array
         Operating points with a mark: pressure [bar], speed [rpm].
+    variables : (str, str)
+        Names of the two scheduling variables, where they are not pressure and speed.
     title : str
         Title of the figure.
     """
@@ -61,11 +64,12 @@ class DampingMap(Brief):
     damping: FloatArray
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     title: str = ""
+    variables: tuple[str, ...] = SCHEDULING
 
 
 def damping_map_data(
     model: LPVModel,
-    controller: LinearModel | Callable[[tuple[float, float]], LinearModel] | None = None,
+    controller: LinearModel | Callable[[Point], LinearModel] | None = None,
     *,
     n: int = 21,
     points: npt.ArrayLike | None = None,
@@ -80,7 +84,7 @@ def damping_map_data(
     model : LPVModel
         LPV model.
     controller : LinearModel or callable, optional
-        Controller from p to r, or a function from ``(pressure_bar, speed_rpm)`` to it; open loop when left out.
+        Controller from p to r, or a function from the operating point to it; open loop when left out.
     n : int
         Number of points in each direction.
     points : (k, 2) array, optional
@@ -98,7 +102,9 @@ def damping_map_data(
     DampingMap
         Smallest damping factors; negative for an unstable loop.
     """
-    pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
+    if len(model.scheduling) != 2:
+        raise UsageError(f"a damping map is over two scheduling variables; {model.name!r} has {len(model.scheduling)}")
+    pressure, speed = (np.linspace(*ends, n) for ends in model.domain.bounds)
     damping = np.empty((n, n))
     for i, bar in enumerate(map(float, pressure)):
         for j, rpm in enumerate(map(float, speed)):
@@ -110,14 +116,14 @@ def damping_map_data(
                 law = sample_controller(law, sample_time, method)
             damping[i, j] = smallest_damping(plant if law is None else close_loop(plant, law))
     marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
-    return DampingMap(pressure, speed, damping, marked, title)
+    return DampingMap(pressure, speed, damping, marked, title, model.scheduling)
 
 
 @styled
 def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
-    """Draw lines of equal damping over pressure and speed; regions of instability are hatched.
+    """Draw lines of equal damping over two variables; regions of instability are hatched.
 
-    Where the model has one speed or one pressure, the damping is a curve over the other.
+    Where the model has one value of a variable, such as one speed, the damping is a curve over the other.
 
     Parameters
     ----------
@@ -136,7 +142,8 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
     if any(at_one):
         _damping_curve(panel, data, over_speed=not at_one[1])
         return panel
-    grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)
+    (x, across), (y, up) = map(scheduling_axis, data.variables)
+    grid = (x * data.pressure_bar, y * data.speed_rpm, data.damping.T)
     shades = panel.contourf(*grid, levels=12, cmap="viridis")
     lines = panel.contour(*grid, levels=shades.levels, colors="white", linewidths=0.5)
     panel.clabel(lines, list(lines.levels)[1:-1:2], fmt="%.3g", fontsize=7, inline=True)
@@ -145,11 +152,11 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
         panel.contour(*grid, levels=[0.0], colors=RED, linewidths=1.4)
     if len(data.points):
         look: dict[str, Any] = {"color": BLACK, "markersize": 4.5, "markerfacecolor": "white", "markeredgewidth": 0.8}
-        panel.plot(data.points[:, 0], 1e-3 * data.points[:, 1], "o", clip_on=False, **look)
+        panel.plot(x * data.points[:, 0], y * data.points[:, 1], "o", clip_on=False, **look)
     bar = figure.colorbar(shades, ax=panel, pad=0.02)
     bar.set_label("smallest damping factor [-]")
     bar.ax.tick_params(labelsize=8)
-    panel.set(xlabel=PRESSURE, ylabel="speed [1000 rpm]")
+    panel.set(xlabel=across, ylabel=up)
     panel.grid(False)
     panel.set_title(data.title, loc="left", pad=6)
     return panel
@@ -157,15 +164,17 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
 
 def _damping_curve(panel: Axes, data: DampingMap, *, over_speed: bool) -> None:
     """Draw the smallest damping factor over speed or pressure, with marks at the operating points."""
-    where, label = (1e-3 * data.speed_rpm, "speed [1000 rpm]") if over_speed else (data.pressure_bar, PRESSURE)
+    factor, label = scheduling_axis(data.variables[over_speed])
+    where = factor * (data.speed_rpm if over_speed else data.pressure_bar)
     damping = data.damping[0] if over_speed else data.damping[:, 0]
     panel.plot(where, damping, **series(0, marker=None))
     if len(data.points):
-        marked = data.points[:, 1] * 1e-3 if over_speed else data.points[:, 0]
+        marked = factor * data.points[:, int(over_speed)]
         panel.plot(marked, np.interp(marked, where, damping), **series(0, linestyle="none", markerfacecolor="none"))
     if damping.min() < 0:
         panel.axhline(0.0, color=RED, linewidth=1.0)
-    fixed = f"{data.pressure_bar[0]:g} bar" if over_speed else f"{data.speed_rpm[0]:g} rpm"
+    constant = int(not over_speed)
+    fixed = point_label((data.pressure_bar, data.speed_rpm)[constant][0], variables=data.variables[constant:][:1])
     panel.set(xlabel=label, ylabel="smallest damping factor [-]")
     panel.set_title(", ".join(filter(None, (data.title, fixed))), loc="left", pad=6)
 

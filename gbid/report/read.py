@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from gbid import control, lpv, validate
 from gbid.control.assessment import assessed_alike, sampling_words
-from gbid.core.arrays import point_label
+from gbid.core.arrays import Point, point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
 from gbid.core.tables import Row
@@ -95,7 +95,7 @@ class AssessedDesign:
     for_sampling: bool = False
     is_published: bool = False
 
-    def at(self, point: tuple[float, float]) -> LinearModel:
+    def at(self, point: Point) -> LinearModel:
         """Return the controller at an operating point."""
         return control.controller_at(self.structure, self.figures.gains, *point)
 

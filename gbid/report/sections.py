@@ -31,6 +31,7 @@ from gbid.lpv.fit import LACK
 from gbid.prefilter.filtering import correction_table
 from gbid.recording.clock import MAX_JITTER
 from gbid.report.campaign_tables import conditions_text, origin_table
+from gbid.report.canvas import scheduling_words
 from gbid.report.control_sections import design_damping_map, held_back
 from gbid.report.model_pictures import plot_bode
 from gbid.report.page import (
@@ -396,7 +397,8 @@ def surfaces_section(results: Results, pictures: Pictures) -> PageSection | None
         return None
     text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
     surfaces = StageResults(results.surfaces, {} if results.surfaces else {"lpv": text})
-    return stage_section("surfaces", "Surfaces over pressure and speed", surfaces, pictures)
+    title = f"Surfaces over {scheduling_words(results.experiment.spec.lpv.scheduling)}"
+    return stage_section("surfaces", title, surfaces, pictures)
 
 
 ALIKE = 0.5
@@ -566,7 +568,8 @@ def lead_figure(results: Results) -> Figure | None:
     designs = results.assessed if results.experiment.spec.controller else ()
     for design in [design for design in designs if _has_range(design.plant)][:1]:
         data = design_damping_map(design)
-        return Figure("plot_damping_map", f"Smallest damping factor over pressure and speed, {data.title}", (data,))
+        over = scheduling_words(design.plant.scheduling)
+        return Figure("plot_damping_map", f"Smallest damping factor over {over}, {data.title}", (data,))
     for item, fit in [(item, fit) for item, fit in results.surfaces.items() if _has_range(fit.model)][:1]:
         return fit.figures()[0]._replace(caption=f"{item}: {fit.figures()[0].caption}")
     first = next((q.fit for q in results.fits), "")
@@ -584,7 +587,7 @@ def lead_figure(results: Results) -> Figure | None:
 
 
 def _has_range(model: LPVModel) -> bool:
-    return bool(np.ptp(model.domain.pressure_bar) or np.ptp(model.domain.speed_rpm))
+    return len(model.scheduling) == 2 and any(low < high for low, high in model.domain.bounds)
 
 
 def _lead(results: Results, pictures: Pictures) -> list[Block]:

@@ -16,7 +16,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
 from gbid.lpv import LPVFit, LPVModel
-from gbid.lpv.model import CHARACTERISTICS, characteristics
+from gbid.lpv.model import CHARACTERISTICS, SCHEDULING, characteristics
 from gbid.lpv.model_file import SI_UNITS
 from gbid.report.canvas import (
     BLUE,
@@ -27,6 +27,7 @@ from gbid.report.canvas import (
     legend_above,
     letter,
     panels,
+    scheduling_axis,
     series,
     styled,
     symbol,
@@ -241,6 +242,7 @@ class Surface(Brief):
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
     at_points: FloatArray = field(default_factory=lambda: np.zeros(0))
+    variables: tuple[str, ...] = SCHEDULING
 
 
 def surfaces_data(
@@ -276,7 +278,9 @@ def surfaces_data(
     UsageError
         When a name is not that of a key parameter, or when the numbers of estimates and points differ.
     """
-    pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
+    if len(model.scheduling) != 2:
+        raise UsageError(f"surfaces are over two scheduling variables; {model.name!r} has {len(model.scheduling)}")
+    pressure, speed = (np.linspace(*ends, n) for ends in model.domain.bounds)
     grid = model.key_parameters(pressure[:, None], speed[None, :])
     unknown = [name for name in names if name not in grid]
     if unknown:
@@ -286,7 +290,8 @@ def surfaces_data(
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
         where, measured = _marked(name, points, estimates)
         at = np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(measured) else np.zeros(0)
-        surfaces.append(Surface(name, SI_UNITS[name.split("_")[0]], pressure, speed, values, where, measured, at))
+        unit = SI_UNITS[name.split("_")[0]]
+        surfaces.append(Surface(name, unit, pressure, speed, values, where, measured, at, model.scheduling))
     return surfaces
 
 
@@ -355,26 +360,27 @@ def _plot_curve(ax: Any, surface: Surface) -> None:
     """Draw a parameter over pressure; over speed if there is only one pressure."""
     scale, label = _scaled(surface)
     over_speed = bool(np.ptp(surface.pressure_bar) == 0)
-    where = 1e-3 * surface.speed_rpm if over_speed else surface.pressure_bar
+    factor, across = scheduling_axis(surface.variables[over_speed])
+    where = factor * (surface.speed_rpm if over_speed else surface.pressure_bar)
     ax.plot(where, scale * (surface.values[0] if over_speed else surface.values[:, 0]), color=BLUE, linewidth=1.2)
-    marked = 1e-3 * surface.points[:, 1] if over_speed else surface.points[:, 0]
-    ax.plot(marked, scale * surface.estimates, "o", color=RED, markersize=3.2)
-    ax.set(xlabel="speed [1000 rpm]" if over_speed else PRESSURE, ylabel=label)
+    ax.plot(factor * surface.points[:, int(over_speed)], scale * surface.estimates, "o", color=RED, markersize=3.2)
+    ax.set(xlabel=across, ylabel=label)
 
 
 def _plot_surface(ax: Any, surface: Surface) -> None:
     scale, label = _scaled(surface)
-    pressure, speed = np.meshgrid(surface.pressure_bar, 1e-3 * surface.speed_rpm, indexing="ij")
+    (first, across), (second, along) = map(scheduling_axis, surface.variables)
+    pressure, speed = np.meshgrid(first * surface.pressure_bar, second * surface.speed_rpm, indexing="ij")
     look = {"color": BLUE, "alpha": 0.3, "edgecolor": "#33505f", "linewidth": 0.25, "rcount": 11, "ccount": 11}
     ax.plot_surface(pressure, speed, scale * surface.values, **look)
     for (bar, rpm), value, at in zip(surface.points, surface.estimates, surface.at_points, strict=True):
-        x, y = [bar, bar], [1e-3 * rpm, 1e-3 * rpm]
+        x, y = [first * bar] * 2, [second * rpm] * 2
         ax.plot(x, y, [scale * at, scale * value], color=RED, linewidth=0.8)
         mark = {"color": RED, "markerfacecolor": RED if value >= at else "white", "markeredgewidth": 0.8}
         ax.plot(x[:1], y[:1], [scale * value], "o", markersize=3.2, **mark)
     ax.set_title(label, color=ink(), y=1.0, pad=0)
-    ax.set_xlabel("pressure [bar]", labelpad=-4)
-    ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
+    ax.set_xlabel(across.removeprefix("injection "), labelpad=-4)
+    ax.set_ylabel(along, labelpad=-4)
     ax.tick_params(pad=-2, labelsize=7)
     ax.tick_params(axis="z", pad=2)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):

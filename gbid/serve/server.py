@@ -42,6 +42,7 @@ from gbid.core.index import load_index, version_of
 from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
+from gbid.lpv.model import SCHEDULING
 from gbid.report.page import environment, page_part, script, script_of_page
 from gbid.report.read import AssessedDesign, Results, report_key
 from gbid.report.sections import Cache, curves_script
@@ -282,7 +283,9 @@ class Live:
         """
         with self._lock:
             results = self._present()
-            self._designs = self._designs or {design.name: design for design in results.assessed}
+            self._designs = self._designs or {
+                design.name: design for design in results.assessed if design.plant.scheduling == SCHEDULING
+            }
             if not self._designs:
                 raise UsageError("no controller yet; run `gbid tune` or `gbid run`")
             return self._designs

@@ -61,9 +61,9 @@ def test_verb_draws_and_keeps_surfaces(campaign, capsys):
         ("{fit: bearing}", ("lpv.order", "4 operating points for 6 terms")),
         (
             "{fit: bearing, order: 3}",
-            ('lpv.order: expected 0, 1, 2, auto, or a list of terms out of "1", "P"', "found 3"),
+            ("lpv.order: order = 3; choose 0, 1, 2, 'auto'", "terms out of 1, P, Omega"),
         ),
-        ("{fit: bearing, order: [P, Q]}", ("lpv.order: expected 0, 1, 2, auto", "found ['P', 'Q']")),
+        ("{fit: bearing, order: [P, Q]}", ("lpv.order: order = ('P', 'Q'): 'Q' is not a term", "choose from 1, P")),
         ("{fit: bearing, order: 1, actuators: nominel}", ("lpv.actuators: expected the word nominal", "theisen2016")),
         ("{fit: bearing, order: 1, actuators: nominal}", ("lpv.actuators", "no section 'nominal'")),
         ("{fit: bearing, order: 1, weighting: fits, robust: true}", ("lpv.robust", "needs weighting")),

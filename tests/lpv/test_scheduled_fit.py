@@ -85,7 +85,7 @@ def test_drawn_models_have_the_covariance_and_stay_within_the_bounds(fits):
 
 
 def test_wrong_use_is_refused(fits):
-    with pytest.raises(UsageError, match="need the structure of the fits"):
+    with pytest.raises(UsageError, match=r"the surfaces need k_xx.*give structure="):
         gbid.fit_lpv(fits, SPEEDS, scheduling="speed_rpm")
     with pytest.raises(UsageError, match=r"give the \(speed_rpm\) of each of the 4 fits; there are 2"):
         gbid.fit_lpv(fits, SPEEDS[:2], structure=ROTOR, scheduling="speed_rpm")

@@ -97,7 +97,7 @@ def test_controllers_that_cannot_run() -> None:
         chain_of(ControllerDesign("one", None, {}, models={None: one}, sample_time=2e-4))
     model = design("P").at()
     points = {(3.0, 0.0): model, (5.0, 0.0): model, (3.0, 6000.0): model}
-    with pytest.raises(UsageError, match="no full grid, 5 bar at 6000 rpm is missing"):
+    with pytest.raises(UsageError, match="no full grid, 5 bar, 6000 rpm is missing"):
         chain_of(ControllerDesign("three", None, {}, models=points, sample_time=2e-4))
 
 
@@ -274,7 +274,7 @@ def test_a_table_over_a_rectangle_has_the_nodes_that_its_interpolation_needs(ben
         return [1.0 + bend * ((pressure - 3.0) / 4.0) ** 2, 2.0 + speed / 6000.0]
 
     table = table_over_domain(row_at, Domain((3, 7), (0, 6000)))
-    assert (len(table.pressure_bar), len(table.speed_rpm)) == (nodes, 2)
+    assert tuple(map(len, table.axes.values())) == (nodes, 2)
     off = 2 * bend / (nodes - 1) ** 2 / 8 / (1 + bend)
     assert table.error == pytest.approx(off, abs=1e-12)
     places = [(p, s) for p in np.linspace(3, 7, 17) for s in (0.0, 1234.0, 6000.0)]

@@ -31,6 +31,7 @@ from gbid.lpv import Domain
 from gbid.lpv.model_file import FileTable, Number
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
+from gbid.structure.scheduling import SCHEDULING
 
 
 @runtime_checkable
@@ -66,10 +67,12 @@ class ControllerDesign(Brief):
         Name of the model for which it was designed.
     provenance : dict of str to str or float
         Additional information, such as limits, value reached, program and date.
-    models : dict of (pressure_bar, speed_rpm) or None to LinearModel
+    models : dict of points such as (pressure_bar, speed_rpm), or None, to LinearModel
         Stored continuous models: one under None, or one per operating point of a scheduled controller.
     notes : tuple of str
         What a user should know about the file from which it was loaded: that it was changed by hand.
+    variables : tuple of str
+        Names of the scheduling variables; those of a scheduled structure.
 
     Raises
     ------
@@ -87,17 +90,21 @@ class ControllerDesign(Brief):
     provenance: Mapping[str, str | float] = field(default_factory=dict)
     models: Mapping[Point | None, LinearModel] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    variables: tuple[str, ...] = SCHEDULING
 
     def __post_init__(self) -> None:
         check_options(self, f"controller {self.name!r}")
+        if isinstance(self.structure, Scheduled):
+            object.__setattr__(self, "variables", self.structure.domain.variables)
 
-    def at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+    def at(self, *point: float | None, **variables: float | None) -> LinearModel:
         """Return the continuous controller.
 
         Parameters
         ----------
-        pressure_bar, speed_rpm : float, optional
-            Operating point [bar], [rpm]; required for a scheduled controller, ignored by others.
+        *point, **variables : float, optional
+            Scheduling variables in order or by name, such as pressure_bar [bar] and speed_rpm [rpm]; required for a
+            scheduled controller, ignored by others.
 
         Returns
         -------
@@ -109,32 +116,33 @@ class ControllerDesign(Brief):
             When a scheduled controller gets no point, a point outside its domain, or, without its structure, a point
             that is not stored.
         """
-        point = None if pressure_bar is None or speed_rpm is None else (float(pressure_bar), float(speed_rpm))
+        if unknown := [name for name in variables if name not in self.variables[len(point) :]]:
+            raise UsageError(f"controller {self.name!r}: {unknown[0]} given; give {', '.join(self.variables)}")
+        place = (*point, *(variables[name] for name in self.variables if name in variables))
+        known = tuple(float(value) for value in place if value is not None)
+        key = known if known and len(known) == len(place) else None
         if self.structure is None:
-            for key in (point, None):
-                if key in self.models:
-                    return self.models[key]
+            for each in (key, None):
+                if each in self.models:
+                    return self.models[each]
             raise UsageError(
-                f"controller {self.name!r}: no model is stored for operating point {point}; give its structure: "
+                f"controller {self.name!r}: no model is stored for operating point {key}; give its structure: "
                 "load_controller(path, structure=...)"
             )
-        if point is None:
-            if isinstance(self.structure, Scheduled):
-                raise UsageError(
-                    f"controller {self.name!r}: its gains follow the operating point; give pressure_bar and speed_rpm"
-                )
-            point = (0.0, 0.0)
-        return controller_at(self.structure, self.gains, *point)
+        if key is None and isinstance(self.structure, Scheduled):
+            what = " and ".join(self.variables)
+            raise UsageError(f"controller {self.name!r}: its gains follow the operating point; give {what}")
+        return controller_at(self.structure, self.gains, *(key or ()))
 
-    def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+    def sampled_at(self, *point: float | None, **variables: float | None) -> LinearModel:
         """Return the controller discretised by the method and at the sample time of the design; arguments as for `at`.
 
         Parameters
         ----------
-        pressure_bar, speed_rpm : float, optional
+        *point, **variables : float, optional
             As for `at`.
         """
-        return sample_controller(self.at(pressure_bar, speed_rpm), self.rate, self.method)
+        return sample_controller(self.at(*point, **variables), self.rate, self.method)
 
     @property
     def rate(self) -> float:
@@ -171,11 +179,29 @@ class StructureTable(FileTable):
 
 @dataclass(frozen=True)
 class ScheduleTable(FileTable):
-    """Terms of scheduled gains, and the ranges that scale pressure and speed."""
+    """Terms of scheduled gains, and the ranges of the scheduling variables: of pressure and speed, or in `ranges`."""
 
     terms: tuple[str, ...]
-    pressure_bar: tuple[Number, Number]
-    speed_rpm: tuple[Number, Number]
+    pressure_bar: tuple[Number, Number] | None = None
+    speed_rpm: tuple[Number, Number] | None = None
+    ranges: dict[str, tuple[Number, Number]] | None = None
+
+    @classmethod
+    def of(cls, structure: Scheduled) -> ScheduleTable:
+        """Return the table of a scheduled controller."""
+        ranges = structure.domain.ranges
+        if structure.domain.variables == SCHEDULING:
+            return cls(structure.terms, ranges["pressure_bar"], ranges["speed_rpm"])
+        return cls(structure.terms, ranges=ranges)
+
+    @property
+    def domain(self) -> Domain:
+        """Scheduling variables with their ranges."""
+        pair = {"pressure_bar": self.pressure_bar, "speed_rpm": self.speed_rpm}
+        ranges = self.ranges or {name: each for name, each in pair.items() if each is not None}
+        if not self.ranges and len(ranges) < len(pair):
+            raise UsageError("schedule: give pressure_bar and speed_rpm, or the ranges of other variables as ranges")
+        return Domain(*ranges.values(), variables=tuple(ranges))
 
 
 @dataclass(frozen=True)
@@ -207,12 +233,15 @@ class ControllerModelTable(FileTable):
 
     pressure_bar: Number | None = None
     speed_rpm: Number | None = None
+    at: dict[str, Number] | None = None
     continuous: MatricesTable = field(kw_only=True)
     sampled: MatricesTable = field(kw_only=True)
 
     @property
     def point(self) -> Point | None:
-        """Operating point (pressure_bar, speed_rpm); None for constant gains."""
+        """Operating point; None for constant gains."""
+        if self.at is not None:
+            return tuple(self.at.values())
         return None if self.pressure_bar is None or self.speed_rpm is None else (self.pressure_bar, self.speed_rpm)
 
 
@@ -272,7 +301,7 @@ def save_controller(
         Method of discretisation; see `gbid.control.sample_controller`. By default that of the result, or ``"tustin"``.
     plant : str
         Name of the model for which it was designed.
-    points : sequence of (pressure_bar, speed_rpm)
+    points : sequence of (pressure_bar, speed_rpm), or of other scheduling variables
         Operating points whose matrices are written; required for a scheduled controller, by default those of a result.
     provenance : dict of str to str or float, optional
         Additional information to store.
@@ -329,7 +358,7 @@ def save_controller(
                 else "give the operating points= to be written"
             )
         )
-    keys: list[Point | None] = [(float(p), float(s)) for p, s in points] or [None]
+    keys: list[Point | None] = [tuple(map(float, point)) for point in points] or [None]
     design = replace(design, models={key: design.at(*(key or ())) for key in keys})
     with atomic_path(path, overwrite) as part:
         contents = TypeAdapter(ControllerFile).dump_python(_contents(design, structure), mode="json", exclude_none=True)
@@ -374,6 +403,7 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
             table.provenance,
             {model.point: _model(table, model.continuous) for model in table.models},
             file.notes,
+            tuple(table.models[0].at or SCHEDULING) if table.models else SCHEDULING,
         )
         differences = [_difference(file, design, i, table) for i in range(len(table.models))]
     except UsageError as error:
@@ -412,21 +442,27 @@ def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> Con
         outputs=next(iter(design.models.values())).output_names,
         plant=design.plant,
         structure=StructureTable(built_in or "own", base.name, options),
-        schedule=ScheduleTable(structure.terms, **structure.domain.ranges)
-        if isinstance(structure, Scheduled)
-        else None,
+        schedule=ScheduleTable.of(structure) if isinstance(structure, Scheduled) else None,
         gains={key: GainTable(value, design.units[key]) for key, value in design.gains.items()},
         sampling=SamplingTable(design.rate, design.method),
         provenance=dict(design.provenance),
         models=tuple(
             ControllerModelTable(
-                *(point or ()),
+                **_place(design.variables, point),
                 continuous=MatricesTable.of(model),
                 sampled=MatricesTable.of(design.sampled_at(*(point or ()))),
             )
             for point, model in design.models.items()
         ),
     )
+
+
+def _place(variables: tuple[str, ...], point: Point | None) -> dict[str, Any]:
+    """Return the operating point of stored matrices as keys of their table."""
+    if point is None:
+        return {}
+    values = dict(zip(variables, point, strict=True))
+    return values if variables == SCHEDULING else {"at": values}
 
 
 def _model(table: ControllerFile, matrices: MatricesTable, dt: float | None = None) -> LinearModel:
@@ -459,8 +495,7 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
         raise UsageError(f"{problem}; write them as save_controller does") from None
     if table.schedule is None:
         return base
-    schedule = table.schedule
-    return scheduled(base, schedule.terms, Domain(schedule.pressure_bar, schedule.speed_rpm))
+    return scheduled(base, table.schedule.terms, table.schedule.domain)
 
 
 def _difference(file: YamlFile, design: ControllerDesign, i: int, table: ControllerFile) -> str:

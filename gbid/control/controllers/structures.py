@@ -8,13 +8,13 @@ from math import isfinite
 from typing import Any
 
 from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PerAxis, PStructure, built_in_structures
-from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
 from gbid.lpv import Domain
-from gbid.lpv.model import TERMS, basis
+from gbid.lpv.model import basis
 from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import OnBase, Structure, model_function
 from gbid.structure.parameter import Values
+from gbid.structure.scheduling import SCHEDULING, exponents_of, term_name
 
 
 def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, order: int = 1) -> LinearModel:
@@ -129,42 +129,47 @@ def _channels(names: tuple[str, ...], count: int) -> tuple[str, ...]:
     return tuple(f"{names[0] if names else 'channel'}_{end}" for end in ends)
 
 
-# ---- Scheduled gains: polynomials in pressure and speed.
-
-_SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=True))
+# ---- Scheduled gains: polynomials in the scheduling variables.
 
 
 @dataclass(frozen=True)
 class Scheduled(OnBase):
-    r"""Controller whose gains are polynomials in pressure and speed (terms of Eq. 16).
+    r"""Controller whose gains are polynomials in scheduling variables; by default pressure and speed (Eq. 16).
 
     .. math:: g(P, \Omega) = \sum_j c_j\, t_j(\tilde P, \tilde \Omega), \quad
               \tilde P = \frac{P - P_0}{\Delta P}, \quad \tilde \Omega = \frac{\Omega - \Omega_0}{\Delta \Omega}
 
     P_0 and Omega_0 are the middle of the domain, Delta P and Delta Omega its half widths. So the scaled pressure and
     speed lie between -1 and 1, and all coefficients of a gain have its order of magnitude. The parameters are the
-    coefficients, ``kappa_x_1``, ``kappa_x_P``, ``kappa_x_Omega``, ... for the gain ``kappa_x``.
+    coefficients, ``kappa_x_1``, ``kappa_x_P``, ``kappa_x_Omega``, ... for the gain ``kappa_x``. Other variables are
+    scaled alike, and have the names that the domain gives them: ``kappa_x_eccentricity2``.
 
     Parameters
     ----------
     base : Structure
         Structure of the controller at one operating point.
     terms : tuple of str
-        Terms of `TERMS`; ``"1"`` must be one of them.
+        Terms of `TERMS`, or of other variables such as ``"gap^2"``; ``"1"`` must be one of them.
     domain : Domain
-        Range of pressure and speed.
+        Scheduling variables with their ranges.
     """
 
     terms: tuple[str, ...]
     domain: Domain
 
     def __post_init__(self) -> None:
-        unknown = [term for term in self.terms if term not in TERMS]
-        if unknown or "1" not in self.terms or len(set(self.terms)) != len(self.terms):
+        known = self._exponents
+        if "1" not in self.terms or not known.keys() >= set(self.terms) or len(set(self.terms)) != len(self.terms):
             raise UsageError(
-                f"{self.name}: terms = {list(self.terms)}; choose from {', '.join(map(repr, TERMS))}, "
+                f"{self.name}: terms = {list(self.terms)}; choose from {', '.join(map(repr, known))}, "
                 "each once and '1' among them"
             )
+
+    @property
+    def _exponents(self) -> dict[str, tuple[int, ...]]:
+        """Powers of the variables by term, up to order 2."""
+        variables = self.domain.variables
+        return {term_name(powers, variables): powers for powers in exponents_of(2, len(variables))}
 
     @property
     def name(self) -> str:
@@ -184,15 +189,15 @@ class Scheduled(OnBase):
             for term in self.terms
         )
 
-    def gains(self, p: Mapping[str, Any], pressure_bar: Any, speed_rpm: Any) -> dict[str, Any]:
+    def gains(self, p: Mapping[str, Any], *point: Any) -> dict[str, Any]:
         """Return the gains at one operating point, for numbers or symbols.
 
         Parameters
         ----------
         p : dict of str to float or casadi.SX
             Coefficients by name.
-        pressure_bar, speed_rpm : float or casadi.SX
-            Operating point [bar], [rpm].
+        *point : float or casadi.SX
+            Scheduling variables.
 
         Returns
         -------
@@ -207,74 +212,93 @@ class Scheduled(OnBase):
         missing = [parameter.name for parameter in self.parameters if parameter.name not in p]
         if missing:
             raise UsageError(f"{self.name}: no value for {', '.join(missing)}")
-        self.domain.check((pressure_bar, speed_rpm), self.name)
+        self.domain.check(point, self.name)
         scaled = (
             (value - (high + low) / 2) / ((high - low) / 2 or 1.0)
-            for value, (low, high) in zip((pressure_bar, speed_rpm), self.domain.bounds, strict=True)
+            for value, (low, high) in zip(point, self.domain.bounds, strict=True)
         )
-        values = dict(zip(TERMS, basis(*scaled), strict=True))
+        powers = tuple(self._exponents[term] for term in self.terms)
+        values = dict(zip(self.terms, basis(*scaled, exponents=powers), strict=True))
         return {
             gain.name: sum(p[self._coefficient(gain, term)] * values[term] for term in self.terms)
             for gain in self.base.parameters
         }
 
-    def matrices(self, p: Values, pressure_bar: Any, speed_rpm: Any) -> Mapping[str, Any]:
+    def matrices(self, p: Values, *point: Any) -> Mapping[str, Any]:
         """Return A, B, C and D at one operating point; all arguments may be symbols.
 
         Parameters
         ----------
         p : Values
             Coefficients by name.
-        pressure_bar, speed_rpm : float or casadi.SX
-            Operating point [bar], [rpm].
+        *point : float or casadi.SX
+            Scheduling variables.
         """
-        return self.base_at(speed_rpm).matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
+        return self.base_at(*point).matrices(Values(self.gains(p, *point)))
 
-    def base_at(self, speed_rpm: Any) -> Structure:
-        """Return the base structure at a speed; it changes only if its matrices depend on the speed.
+    def base_at(self, *point: Any) -> Structure:
+        """Return the base structure at a point; it changes only if its matrices depend on the speed.
 
         Parameters
         ----------
-        speed_rpm : float or casadi.SX
-            Speed [rpm].
-        """
-        return self.base.at_speed(speed_rpm) if isinstance(self.base, PerAxis) else self.base
+        *point : float or casadi.SX
+            Scheduling variables.
 
-    def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
+        Raises
+        ------
+        UsageError
+            When the matrices depend on the speed, which is no scheduling variable.
+        """
+        if not (isinstance(self.base, PerAxis) and self.base.follows_speed):
+            return self.base
+        if "speed_rpm" not in self.domain.variables:
+            text = f"{self.base.name} follows speed_rpm; the scheduling variables are"
+            raise UsageError(f"{text} {', '.join(self.domain.variables)}")
+        return self.base.at_speed(point[self.domain.variables.index("speed_rpm")])
+
+    def at(self, *point: float) -> LinearStructure:
         """Return the structure at one operating point; its parameters are the coefficients of the schedule.
 
         Parameters
         ----------
-        pressure_bar, speed_rpm : float
-            Operating point [bar], [rpm].
+        *point : float
+            Scheduling variables.
         """
-        self.domain.check((pressure_bar, speed_rpm), self.name)
+        self.domain.check(point, self.name)
         return LinearStructure(
-            f"{self.name} at {point_label(pressure_bar, speed_rpm)}",
+            f"{self.name} at {self.domain.label(*point)}",
             self.parameters,
-            lambda p: self.matrices(p, pressure_bar, speed_rpm),
+            lambda p: self.matrices(p, *point),
             self.inputs,
             self.outputs,
             self.intersample,
         )
 
+    @property
+    def uses(self) -> set[str]:
+        """Names of the variables in the terms."""
+        powers = [self._exponents[term] for term in self.terms]
+        return {name for i, name in enumerate(self.domain.variables) if any(each[i] for each in powers)}
+
     def _coefficient(self, gain: Parameter, term: str) -> str:
-        return f"{gain.name}_{_SUFFIX[term]}"
+        gap = "" if self.domain.variables == SCHEDULING else "_"
+        return f"{gain.name}_{term.replace('^', '').replace(' ', gap)}"
 
 
 def scheduled(
     structure: Structure, terms: Sequence[str] = ("1", "P", "Omega"), domain: Domain | None = None
 ) -> Scheduled:
-    """Return a controller structure whose gains depend on pressure and speed.
+    """Return a controller structure whose gains depend on scheduling variables, by default pressure and speed.
 
     Parameters
     ----------
     structure : Structure
         Structure of the controller at one operating point; see `controller_structure`.
     terms : sequence of str
-        Terms of the polynomials, from `TERMS`.
+        Terms of the polynomials up to order 2: those of `TERMS`, or of the variables of `domain`, as in `gbid.fit_lpv`.
     domain : Domain, optional
-        Range that scales pressure and speed, usually ``lpv.domain``. By default 3 to 7 bar and 0 to 6000 rpm.
+        Scheduling variables and the ranges that scale them, usually ``lpv.domain``. By default 3 to 7 bar and 0 to
+        6000 rpm.
 
     Returns
     -------
@@ -296,16 +320,14 @@ def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None
     structure : Structure or Scheduled
         Structure of the controller.
     domain : Domain, optional
-        Range of pressure and speed, as for `scheduled`.
+        Scheduling variables with their ranges, as for `scheduled`.
     """
     if isinstance(structure, PerAxis) and structure.follows_speed:
         return scheduled(structure, ("1",), domain)
     return structure
 
 
-def controller_at(
-    structure: Structure | Scheduled, gains: Mapping[str, float], pressure_bar: float, speed_rpm: float
-) -> LinearModel:
+def controller_at(structure: Structure | Scheduled, gains: Mapping[str, float], *point: float) -> LinearModel:
     """Return a controller, scheduled or not, at one operating point.
 
     Parameters
@@ -314,8 +336,8 @@ def controller_at(
         Structure of the controller.
     gains : dict of str to float
         A value for every parameter: gains, or coefficients of scheduled gains.
-    pressure_bar, speed_rpm : float
-        Operating point [bar], [rpm].
+    *point : float
+        Scheduling variables of a scheduled controller, such as pressure [bar] and speed [rpm].
 
     Returns
     -------
@@ -328,7 +350,7 @@ def controller_at(
         As for `controller_model`; for a scheduled controller also when the point lies outside its domain.
     """
     if isinstance(structure, Scheduled):
-        return controller_model(structure.base_at(speed_rpm), structure.gains(gains, pressure_bar, speed_rpm))
+        return controller_model(structure.base_at(*point), structure.gains(gains, *point))
     return controller_model(structure, gains)
 
 

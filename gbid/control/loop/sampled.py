@@ -10,7 +10,7 @@ from gbid.control.loop.norm import Peak
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
 from gbid.core.brief import Brief
 from gbid.lpv import LPVModel
-from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing
+from gbid.structure import LinearModel
 from gbid.structure.linear import evaluate
 
 
@@ -51,15 +51,15 @@ class SampledLoop(Brief):
         return sensitivities(self.plant, self.controller)
 
 
-def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearModel:
+def exact_plant(lpv: LPVModel, *point: float) -> LinearModel:
     """Return the plant from r to p at one operating point, with exact delays.
 
     Parameters
     ----------
     lpv : LPVModel
         Model with actuators.
-    pressure_bar, speed_rpm : float
-        Operating point [bar], [rpm].
+    *point : float
+        Scheduling variables; of a gas bearing pressure [bar] and speed [rpm].
 
     Returns
     -------
@@ -72,15 +72,14 @@ def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearM
     UsageError
         As for `LPVModel.plant_at`.
     """
-    name = lpv.plant_at(pressure_bar, speed_rpm).name  # raises the errors of plant_at
-    values = {**lpv.actuators, **lpv.key_parameters(float(pressure_bar), float(speed_rpm))}
-    return replace(exact_plant_of(values), name=f"{name}, exact delays")
+    name = lpv.plant_at(*point).name  # raises the errors of plant_at
+    return replace(exact_plant_of(lpv, lpv.key_parameters(*map(float, point))), name=f"{name}, exact delays")
 
 
-def exact_plant_of(values: Mapping[str, float]) -> LinearModel:
-    """Plant from r to p with exact delays, from the parameters of actuators and bearing."""
-    structure = Plant(RotorBearing(disturbance_gain="none"), PiezoPair(), outputs=("p",))
-    return evaluate(structure, values, ("r_x", "r_y"), ("p_x", "p_y"))
+def exact_plant_of(lpv: LPVModel, values: Mapping[str, float]) -> LinearModel:
+    """Plant of a model with exact delays, from the values of the parameters at a point."""
+    structure = lpv.plant_structure(None)
+    return evaluate(structure, {**lpv.actuators, **values}, *lpv.channels(structure))
 
 
 def sampled_loop(

@@ -191,8 +191,8 @@ class LoopFamily(ABC):
     ----------
     labels : tuple of str
         Name of each loop, for messages.
-    points : (m, 2) array, optional
-        Pressure [bar] and speed [rpm] of each loop, when they are operating points.
+    points : (m, n_variables) array, optional
+        Scheduling variables of each loop, when they are operating points.
     n_outputs : int
         Number of rows of C of the output sensitivity; the rows below are the control signals. 0: A only.
     sample_time : float, optional
@@ -400,7 +400,7 @@ class ControllerLaw:
     n_states : int
         Number of states n of the controller.
     function, jacobian : casadi.Function
-        From gains and point (pressure [bar], speed [rpm]) to K, and to the derivatives of ``vec(K)``.
+        From gains and point (scheduling variables) to K, and to the derivatives of ``vec(K)``.
     scheduled : bool
         Whether K depends on the point.
     held_s : float, optional
@@ -423,14 +423,9 @@ class ControllerLaw:
             When a matrix of the structure has another shape.
         """
         gains = tuple(structure.parameters)
-        g, point = ca.SX.sym("gains", len(gains)), ca.SX.sym("point", 2)
-        values = Values.of(gains, g)
-        scheduled = isinstance(structure, Scheduled)
-        given = (
-            structure.matrices(values, point[0], point[1])
-            if isinstance(structure, Scheduled)
-            else structure.matrices(values)
-        )
+        place = structure.domain.variables if isinstance(structure, Scheduled) else ()
+        g, point = ca.SX.sym("gains", len(gains)), ca.SX.sym("point", len(place))
+        given = structure.matrices(Values.of(gains, g), *ca.vertsplit(point))
         if not {"A", "C"} <= set(given):
             raise UsageError(f"controller {structure.name!r}: give A and C; without states SX(0, 0), SX(outputs, 0)")
         n, (n_r, n_p) = _as_sx(given["A"]).shape[0], shape
@@ -444,11 +439,11 @@ class ControllerLaw:
         K = ca.densify(ca.blockcat([[matrices["A"], matrices["B"]], [matrices["C"], matrices["D"]]]))
         slopes = ca.densify(ca.jacobian(ca.vec(K), g))
         function, jacobian = (ca.Function(name, [g, point], [M]) for name, M in (("law", K), ("slopes", slopes)))
-        return cls(n, function, jacobian, scheduled, held_s)
+        return cls(n, function, jacobian, bool(place), held_s)
 
     def at(self, points: FloatArray) -> tuple[DirectCall, DirectCall]:
-        """Return K and its derivatives as functions of the gains, at points (m, 2) if K depends on them."""
-        where = points.T if self.scheduled else np.zeros((2, 1))
+        """Return K and its derivatives as functions of the gains, at points (m, n_variables) if K depends on them."""
+        where = points.T if self.scheduled else np.zeros((0, 1))
         m, g = where.shape[1], ca.MX.sym("gains", self.function.size1_in(0))
         arguments = ca.repmat(g, 1, m), ca.DM(where)
         calls = [ca.Function("at_points", [g], [each.map(m)(*arguments)]) for each in (self.function, self.jacobian)]

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import Annotated, Any, Literal, Self
 
 import casadi as ca
@@ -29,17 +30,17 @@ from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
 from gbid.control.tuning.reach import with_unmoved
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.search import typical_rate
-from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, point_label
+from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Count, CountOrZero, NotNegative, Positive, check_options
 from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVFit, LPVModel
-from gbid.lpv.model import ACTUATOR_PARAMETERS, TERMS, regressors
-from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
-from gbid.structure.delay import with_pade
-from gbid.structure.linear import Structure
-from gbid.structure.parameter import Values
+from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, TERMS, regressors
+from gbid.structure import KEY_PARAMETERS, LinearModel, RotorBearing
+from gbid.structure.delay import pade_matrices, with_pade
+from gbid.structure.linear import Structure, symbolic_matrices
+from gbid.structure.scheduling import SCHEDULING, Exponents
 
 # ---- Uncertainty of the plant: draws from the covariance of an LPV fit.
 
@@ -52,7 +53,8 @@ class Uncertainty(Brief):
     ----------
     covariance : (84, 84) array, optional
         Covariance of the coefficients of Eq. 16: the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) with six
-        terms each (`TERMS`), in SI per bar and rpm, as an LPV fit gives it.
+        terms each (`TERMS`), in SI per bar and rpm, as an LPV fit gives it. (14 m, 14 m) for a model with m terms over
+        other scheduling variables.
     samples : (n, 14) array, optional
         In place of the covariance: deviations of the key parameters from the model, the same at every operating point.
     draws : int
@@ -81,14 +83,13 @@ class Uncertainty(Brief):
 
     def __post_init__(self) -> None:
         check_options(self, "Uncertainty")
-        n = len(KEY_PARAMETERS) * len(TERMS)
         if (self.covariance is None) == (self.samples is None):
             raise UsageError("uncertainty: give either the covariance of the coefficients or samples")
         if self.covariance is not None:
-            for name, given, size in (
-                ("covariance", self.covariance, n),
-                ("scatter", self.scatter, len(KEY_PARAMETERS)),
-            ):
+            k = len(KEY_PARAMETERS)
+            n = len(np.atleast_1d(_array("covariance", self.covariance)))
+            n = n if n and n % k == 0 else k * len(TERMS)
+            for name, given, size in (("covariance", self.covariance, n), ("scatter", self.scatter, k)):
                 matrix = np.zeros((size, size)) if given is None else _array(name, given)
                 if matrix.shape != (size, size) or not _symmetric(matrix):
                     raise UsageError(
@@ -105,30 +106,40 @@ class Uncertainty(Brief):
         if any(i not in range(known) for i in self.chosen or ()):
             raise UsageError(f"uncertainty: chosen = {self.chosen}; choose from the {known} draws, numbered from 0")
 
-    def scenarios(self, points: FloatArray) -> FloatArray:
-        """Return every drawn plant at every point, the model itself first: (m (1 + n), 16).
+    def scenarios(self, points: FloatArray, exponents: Exponents = EXPONENTS) -> FloatArray:
+        """Return every drawn plant at every point, the model itself first: (m (1 + n), n_variables + 14).
 
         Parameters
         ----------
-        points : (m, 2) array
-            Pressure [bar] and speed [rpm].
+        points : (m, n_variables) array
+            Scheduling variables, such as pressure [bar] and speed [rpm].
+        exponents : tuple of tuple of int
+            Powers of the variables in each term of the model.
+
+        Raises
+        ------
+        UsageError
+            When the covariance is that of another number of terms.
         """
-        deviations = self._deviations(points)
+        deviations = self._deviations(points, exponents)
         if self.chosen is not None:
             deviations = [deviations[i] for i in self.chosen]
         nominal = np.hstack([points, np.zeros((len(points), len(KEY_PARAMETERS)))])
         drawn = [np.hstack([points, deviation]) for deviation in deviations]
         return np.vstack([nominal, *drawn])
 
-    def _deviations(self, points: FloatArray) -> list[FloatArray]:
+    def _deviations(self, points: FloatArray, exponents: Exponents) -> list[FloatArray]:
         """Return the deviations of the parameters of each draw (m, 14)."""
         if self.samples is not None:
             samples = np.asarray(self.samples, float)
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
         root = root_of(np.asarray(self.covariance, float))
+        if len(root) != len(KEY_PARAMETERS) * len(exponents):
+            text = f"uncertainty: covariance of {len(root)} coefficients, a model with {len(exponents)} terms"
+            raise UsageError(f"{text}; give that of its fit")
         normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(root)))
-        terms = regressors(*points.T)
-        coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
+        terms = regressors(*points.T, exponents=exponents)
+        coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(exponents))
         draws = [terms @ draw.T for draw in coefficients]
         if self.scatter is not None:
             lift = np.random.default_rng([self.seed, 1]).standard_normal((self.draws, len(KEY_PARAMETERS)))
@@ -176,7 +187,8 @@ class TuneOptions(DesignOptions):
         Objectives and limits as values from `gbid.control`, such as ``[MaxDamping(), PeakSensitivity(2.0)]``, in place
         of `objective` and `peak_sensitivity`. Without `SlowestPole` among them stability is required only.
     operating_points : sequence of (pressure_bar, speed_rpm), or "domain", optional
-        Operating points; by default those of the model. ``"domain"``: the whole rectangle. The worst points are then
+        Operating points, or values of other scheduling variables; by default those of the model. ``"domain"``: the
+        whole rectangle. The worst points are then
         found and added until none is worse by more than 1e-4.
     actuator : dict of str to float, optional
         Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
@@ -310,7 +322,7 @@ class Plants(ABC):
         return replace(self, sampling=None)
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at all or chosen points (m, 2), without the modes that no gain moves."""
+        """Loops at all or chosen points (m, n_variables), without the modes that no gain moves."""
         family = self._loops(points, which)
         return family if self.box is None else with_unmoved(family, *self.box)
 
@@ -327,7 +339,7 @@ class Plants(ABC):
         scenarios, labels = self.scenarios(points)
         chosen = list(range(len(scenarios)) if which is None else which)
         rows, names = scenarios[chosen], tuple(labels[i] for i in chosen)
-        where, n_p = np.ascontiguousarray(rows[:, :2]), self.plant.D.shape[0]
+        where, n_p = np.ascontiguousarray(rows[:, : self.n_variables]), self.plant.D.shape[0]
         plants, whole = self.continuous_plants(rows), partial(self.whole_plants, rows)
         continuous = ControlLoops(names, where, n_p, plants=plants, law=self._law, whole=whole)
         if self.sampling is None:
@@ -359,6 +371,11 @@ class Plants(ABC):
     @cached_property
     def _law(self) -> ControllerLaw:
         return ControllerLaw.of(self.structure, self.plant.D.shape[::-1])
+
+    @property
+    def n_variables(self) -> int:
+        """Number of scheduling variables, with which a scenario begins."""
+        return len(self.structure.domain.variables) if isinstance(self.structure, Scheduled) else 2
 
     @property
     @abstractmethod
@@ -402,12 +419,12 @@ class Plants(ABC):
         names = [parameter.name for parameter in self.structure.parameters]
         units = np.eye(len(names))
         rows = []
-        for P, Omega in dict.fromkeys(map(tuple, points[:, :2])):
-            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
+        for point in dict.fromkeys(map(tuple, points[:, : self.n_variables])):
+            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), *point) for unit in units]
             for gain in self.structure.base.parameters:
                 row, i = np.array([float(column[gain.name]) for column in columns]), names.index(f"{gain.name}_1")
                 low, high = min(gain.lower, lower[i]), max(gain.upper, upper[i])
-                where = f"{gain.name} at {point_label(P, Omega)}"
+                where = f"{gain.name} at {self.structure.domain.label(*point)}"
                 rows.append((f"upper bound of {where}", row / (high - low), high / (high - low)))
                 rows.append((f"lower bound of {where}", -row / (high - low), -low / (high - low)))
         return tuple(rows)
@@ -415,7 +432,7 @@ class Plants(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LpvPlants(Plants):
-    """Plants of an LPV model at operating points: pressure [bar] and speed [rpm].
+    """Plants of an LPV model at operating points.
 
     Parameters
     ----------
@@ -440,6 +457,14 @@ class LpvPlants(Plants):
     ) -> LpvPlants:
         """Return the plants of an LPV model for the options of a design."""
         lpv, points = _with_actuators(lpv, options.actuator), _points(lpv, options.operating_points)
+        if isinstance(structure, Scheduled) and structure.domain.variables != lpv.scheduling:
+            raise UsageError(
+                f"controller {structure.name!r} is scheduled over {', '.join(structure.domain.variables)}, model "
+                f"{lpv.name!r} over {', '.join(lpv.scheduling)}; give scheduled(..., domain=model.domain)"
+            )
+        if options.uncertainty is not None and tuple(lpv.coefficients) != KEY_PARAMETERS:
+            text = f"uncertainty: the surfaces of model {lpv.name!r} are {', '.join(lpv.coefficients)}"
+            raise UsageError(f"{text}, not the key parameters of a gas bearing; leave uncertainty out")
         return cls(
             structure,
             points,
@@ -451,49 +476,59 @@ class LpvPlants(Plants):
             domain=lpv.domain if isinstance(options.operating_points, str) else None,
         )
 
+    @property
+    def n_variables(self) -> int:
+        """Number of scheduling variables, with which a scenario begins."""
+        return len(self.lpv.scheduling)
+
     @cached_property
     def plant(self) -> LinearModel:
         """Plant at the first point."""
-        return self.lpv.plant_at(float(self.points[0, 0]), float(self.points[0, 1]))
+        return self.lpv.plant_at(*self.points[0].tolist())
 
     @cached_property
     def slowest(self) -> tuple[float, ...]:
         """Slowest decay rate [1/s] of each plant, over the oscillatory modes that feedback can move."""
         every = (self.lpv, *self.others)
         return tuple(
-            min(slowest_mode(lpv.at(float(P), float(Omega)).poles(), self.unmoved) for lpv in every)
-            for P, Omega in self.points
+            min(slowest_mode(lpv.at(*point).poles(), self.unmoved) for lpv in every) for point in self.points.tolist()
         )
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Every plant at every point (m, 2) or (m, 16), and the names of the plants."""
-        scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
-        if self.others and points.shape[1] == 2:
+        """Every plant at every point, with or without changes of the surfaces, and the names of the plants."""
+        uncertainty, k = self.uncertainty, self.n_variables
+        scenarios = points if uncertainty is None else uncertainty.scenarios(points, self.lpv.exponents)
+        if self.others and points.shape[1] == k:
             known, *further = (lpv.key_parameters(*points.T) for lpv in (self.lpv, *self.others))
             changes = [
-                np.column_stack([key[name] - known[name] for name in KEY_PARAMETERS]) for key in (known, *further)
+                np.column_stack([key[name] - known[name] for name in self.lpv.coefficients])
+                for key in (known, *further)
             ]
             scenarios = np.vstack([np.hstack([points, change]) for change in changes])
         labels = [
-            point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
-            for i, (P, Omega) in enumerate(scenarios[:, :2])
+            self.lpv.domain.label(*point) + (f", plant {i // len(points)}" if i >= len(points) else "")
+            for i, point in enumerate(scenarios[:, :k])
         ]
         return scenarios, labels
 
     @cached_property
     def _function(self) -> ca.Function:
-        """Function from pressure, speed and deviations of the key parameters to A, B, C and D of the plant."""
-        s = ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
-        key = self.lpv.key_parameters(s[0], s[1])
-        values = {**self.lpv.actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
-        bearing = RotorBearing(PADE_ORDER if self.delay_s else self.lpv.pade_order, disturbance_gain="none")
-        plant = Plant(bearing, PiezoPair(), outputs=("p",)).matrices(Values(values))
-        return ca.Function("plant", [s], [ca.densify(ca.SX(plant[letter])) for letter in "ABCD"])
+        """Function from scheduling variables and deviations of the surfaces to A, B, C and D of the plant."""
+        lpv, k = self.lpv, self.n_variables
+        s = ca.SX.sym("scenario", k + len(lpv.coefficients))
+        values = {**lpv.actuators, **lpv.key_parameters(*ca.vertsplit(s[:k]))}
+        values |= {name: values[name] + s[k + i] for i, name in enumerate(lpv.coefficients)}
+        structure = lpv.plant_structure(PADE_ORDER if self.delay_s else lpv.pade_order)
+        p, symbolic = symbolic_matrices(structure)
+        plant = pade_matrices(symbolic, PADE_ORDER)
+        given = ca.vertcat(*(values[parameter.name] for parameter in structure.parameters))
+        matrices = ca.Function("matrices", [p], [ca.densify(M) for M in (plant.A, plant.B, plant.C, plant.D)])
+        return ca.Function("plant", [s], matrices.call([given]))
 
     def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
         """Continuous plants of scenarios, with Padé delays."""
         m = len(scenarios)
-        S = np.zeros((m, 2 + len(KEY_PARAMETERS)))
+        S = np.zeros((m, self._function.size1_in(0)))
         S[:, : scenarios.shape[1]] = scenarios
         every: Any = self._function.map(m)(ca.DM(S.T))
         parts = (np.array(side_by_side) for side_by_side in every)
@@ -514,20 +549,20 @@ class LpvPlants(Plants):
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Plant of a scenario, sampled with exact delays."""
-        values = dict(self.lpv.key_parameters(*scenario[:2]))
-        for name, change in zip(KEY_PARAMETERS, scenario[2:], strict=False):
+        point, changes = scenario[: self.n_variables], scenario[self.n_variables :]
+        values = dict(self.lpv.key_parameters(*point))
+        for name, change in zip(self.lpv.coefficients, changes, strict=False):
             values[name] += change
-        negative = [name for name in ("tau_x", "tau_y") if values[name] <= 0]
+        negative = [name for name in ("tau_x", "tau_y") if values.get(name, 1.0) <= 0]
         if negative:
             raise UsageError(
                 f"model {self.lpv.name!r}: a drawn plant has {negative[0]} = {values[negative[0]]:g} s; fix the delays"
             )
         try:
-            exact = exact_plant_of({**self.lpv.actuators, **values})
-            return sample_plant(exact, sampling.sample_time, sampling.computation_s)
+            return sample_plant(exact_plant_of(self.lpv, values), sampling.sample_time, sampling.computation_s)
         except UsageError as error:
             raise UsageError(
-                f"model {self.lpv.name!r} at {point_label(*scenario[:2])}, or a plant drawn around it, cannot be "
+                f"model {self.lpv.name!r} at {self.lpv.domain.label(*point)}, or a plant drawn around it, cannot be "
                 f"sampled: {error}"
             ) from None
 
@@ -535,7 +570,7 @@ class LpvPlants(Plants):
         """Return the indices of the points nearest to the corners of the operating range."""
         low, high = points.min(axis=0), points.max(axis=0)
         unit = (points - low) / np.where(high > low, high - low, 1.0)
-        places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
+        places = product((0.0, 1.0), repeat=points.shape[1])
         return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
 
 
@@ -544,7 +579,7 @@ _FIRST = 4
 
 @dataclass(frozen=True, eq=False)
 class ModelPlants(Plants):
-    """Plants given as models; each point is the lowest pressure of a schedule, the speed and the model's index.
+    """Plants given as models; each point is that of a schedule, or zero and the speed, and then the model's index.
 
     Parameters
     ----------
@@ -572,14 +607,14 @@ class ModelPlants(Plants):
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Points, and the names of the models."""
-        labels = [self.models[int(i)].name for i in points[:, 2]]
+        labels = [self.models[int(i)].name for i in points[:, -1]]
         if len(set(labels)) < len(labels):
-            labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 2], strict=True)]
+            labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, -1], strict=True)]
         return points, labels
 
     def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
         """Continuous models, with Padé delays."""
-        models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, 2]]
+        models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, -1]]
         return PlantMatrices.stacked(models).delayed(self.delay_s)
 
     def whole_plants(self, scenarios: FloatArray) -> WholePlants:
@@ -590,7 +625,7 @@ class ModelPlants(Plants):
         UsageError
             When the names of a channel differ between the models.
         """
-        models = [self.whole[int(i)] for i in scenarios[:, 2]]
+        models = [self.whole[int(i)] for i in scenarios[:, -1]]
         first = self.whole[0]
         if any((each.input_names, each.output_names) != (first.input_names, first.output_names) for each in models):
             raise UsageError("goals on responses between named signals need models with the same channels")
@@ -600,7 +635,7 @@ class ModelPlants(Plants):
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Model of a scenario, sampled with exact delays."""
-        return sample_plant(self.models[int(scenario[2])], sampling.sample_time, sampling.computation_s)
+        return sample_plant(self.models[int(scenario[-1])], sampling.sample_time, sampling.computation_s)
 
     def first(self, points: FloatArray) -> list[int]:
         """Return evenly spaced indices of some models."""
@@ -713,8 +748,7 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
     speeds = np.zeros(len(models)) if options.speeds_rpm is None else np.array(options.speeds_rpm, float)
     if speeds.shape != (len(models),) or not np.isfinite(speeds).all():
         raise UsageError(f"tune: speeds_rpm = {options.speeds_rpm} for {len(models)} models; give a speed for each")
-    speed_terms = {"1", "Omega", "Omega2"}
-    if isinstance(structure, Scheduled) and not (options.speeds_rpm and speed_terms.issuperset(structure.terms)):
+    if isinstance(structure, Scheduled) and not (options.speeds_rpm and structure.uses <= {"speed_rpm"}):
         raise UsageError(
             f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed; for linear models "
             "give speeds_rpm=, and terms of the speed only"
@@ -723,8 +757,9 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
         if getattr(options, name) is not None and not machines:
             raise UsageError(f"tune: {name} belongs to LPV models; leave it out")
     chosen = checked_models(models, structure, options.inputs, options.outputs)
-    pressure = structure.domain.pressure_bar[0] if isinstance(structure, Scheduled) else 0.0
-    points = np.column_stack([np.full(len(chosen), pressure), speeds, np.arange(len(chosen))])
+    ranges = structure.domain.ranges if isinstance(structure, Scheduled) else dict.fromkeys(SCHEDULING, (0.0, 0.0))
+    place = [speeds if name == "speed_rpm" else np.full(len(chosen), low) for name, (low, _) in ranges.items()]
+    points = np.column_stack([*place, np.arange(len(chosen))])
     unfinished = tuple(each for each in given if isinstance(each, FitResult) and not each.success)
     return ModelPlants(
         structure, points, options.delay_s, options.sampling, models=chosen, whole=tuple(models), unfinished=unfinished
@@ -732,6 +767,11 @@ def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: Tune
 
 
 def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVModel:
+    structure = lpv.structure
+    if structure is not None and not isinstance(structure, RotorBearing):
+        if actuator is not None:
+            raise UsageError(f"tune: actuator belongs to a gas bearing; {structure.name!r} has its own parameters")
+        return lpv
     given = lpv.actuators if actuator is None else actuator
     missing = [name for name in ACTUATOR_PARAMETERS if name not in given]
     if missing:
@@ -744,7 +784,7 @@ def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
     if isinstance(given, LPVModel):
         machine = _with_actuators(given, options.actuator)
         plant_at = machine.plant_at if options.sampling is None else partial(exact_plant, machine)
-        return [plant_at(float(P), float(Omega)) for P, Omega in _points(machine, options.operating_points)]
+        return [plant_at(*point) for point in _points(machine, options.operating_points).tolist()]
     model = given.model if isinstance(given, FitResult) else given
     if not isinstance(model, LinearModel):
         raise UsageError(
@@ -755,19 +795,16 @@ def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
 
 
 def _points(lpv: LPVModel, given: Sequence[Point] | Literal["domain"] | None) -> FloatArray:
-    """Return operating points (m, 2), checked against the domain; by default corners and middles of the domain."""
+    """Return operating points (m, n_variables), checked; of a domain the corners and middles."""
     if isinstance(given, str):
-        (p0, p1), (w0, w1) = lpv.domain.pressure_bar, lpv.domain.speed_rpm
-        return np.array([(p, w) for p in (p0, (p0 + p1) / 2, p1) for w in (w0, (w0 + w1) / 2, w1)])
-    points = lpv.operating_points if given is None else given
+        return np.array([*product(*((low, (low + high) / 2, high) for low, high in lpv.domain.bounds))])
+    points, what = lpv.operating_points if given is None else given, ", ".join(lpv.scheduling)
     try:
-        array = np.array([(float(P), float(Omega)) for P, Omega in points])
+        array = np.array([[float(v) for _, v in zip(lpv.scheduling, point, strict=True)] for point in points])
     except (TypeError, ValueError):
-        raise UsageError("operating_points: give a list of (pressure_bar, speed_rpm)") from None
+        raise UsageError(f"operating_points: give a list of ({what})") from None
     if not len(array):
-        raise UsageError(
-            f"model {lpv.name!r} lists no operating points; give operating_points=[(pressure, speed), ...]"
-        )
+        raise UsageError(f"model {lpv.name!r} lists no operating points; give operating_points=[({what}), ...]")
     lpv.domain.check(tuple(array.T), f"model {lpv.name!r}")
     return array
 

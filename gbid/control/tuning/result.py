@@ -18,7 +18,7 @@ from gbid.control.tuning.design_options import Objective
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, GainProblem, SearchStep, rows_of
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import FloatArray, Point
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
@@ -27,7 +27,7 @@ from gbid.structure import LinearModel
 
 SAME_DESIGN = 0.02
 """Relative difference below which the values of independent searches count as alike: no rig shows less."""
-Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operating points of the design")]
+Points = Annotated[tuple[Point, ...], Stored("bar, rpm", "operating points of the design")]
 
 
 class GainStatus(StrEnum):
@@ -150,7 +150,7 @@ class GainResult(Brief):
         Computation time [s] and discretisation of a design for the sampled loop.
     history : tuple of SearchStep
         Progress of the search.
-    points : tuple of (pressure_bar, speed_rpm)
+    points : tuple of (pressure_bar, speed_rpm), or of other scheduling variables
         Operating points of the design, with worst points that were added; empty for given matrices.
     goals : tuple of GoalFigure
         What was reached of goals other than damping, decay, and the three figures above.

@@ -187,8 +187,10 @@ _MANY_LOOPS = 30
 """Largest number of loops that are designed for at once, with up to three gains."""
 TOLERANCE = 5e-5
 """By how much a design may be worse at a point of the rectangle than at its own points."""
-_GRID = 33
-"""Number of pressures and of speeds at which a design over a rectangle is examined."""
+_GRID = {1: 33, 2: 33, 3: 11}
+"""Values of each scheduling variable at which a design over a domain is examined, by the number of variables."""
+_COARSE = 5
+"""As `_GRID`, for more variables."""
 _ROUNDS = 20
 """Largest number of rounds in which worst points are added."""
 
@@ -250,32 +252,34 @@ def add_worst_points(
         problem = replace(problem, families=(plants.family(points),), linear=linear, cuts=())
         improved = _improve(problem, solution, replace(task, progress=None))
         solution = replace(improved, history=solution.history).noted("points", task.progress)
+    grid = " x ".join(str(_GRID.get(len(domain.bounds), _COARSE)) for _ in domain.bounds)
     return solution, (
         f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops; no point of the "
-        f"rectangle worse by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
+        f"rectangle worse by more than {TOLERANCE:g}, by a {grid} grid with a zoom into its worst places"
     )
 
 
 def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> FloatArray:
-    """Return points (k, 2) at which the design is worse than at its design points, each refined locally."""
-    axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
+    """Return points (k, n_variables) at which the design is worse than at its points, each refined locally."""
+    n, count = len(domain.bounds), _GRID.get(len(domain.bounds), _COARSE)
+    axes = [np.linspace(low, high, count if low < high else 1) for low, high in domain.bounds]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
-    low, high = np.array([domain.pressure_bar, domain.speed_rpm]).T
+    low, high = np.array(domain.bounds).T
     score, x = solution.best.score, solution.best.x
 
     def measured(points: FloatArray) -> FloatArray:
         return measure(solution.problem, x, plants, np.clip(points, low, high))
 
-    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    tables = measured(grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * n, indexing="ij"), axis=-1).reshape(-1, n)
+    tables = measured(grid.reshape(-1, n)).reshape(-1, *grid.shape[:-1])
     worse: list[FloatArray] = []
     for which, table in enumerate(tables):
         allowed = -score.value if which == 0 else max(score.violation, 0.0)
         padded = np.pad(table, 1, constant_values=-np.inf)
         top = table > allowed - 0.02
-        for a, b in np.ndindex(3, 3):
-            top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
+        for near in np.ndindex(*[3] * n):
+            top &= table >= padded[tuple(slice(a, a + size) for a, size in zip(near, table.shape, strict=True))]
         places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
         for place in places:
             point, value, reach = grid[place], -np.inf, step
@@ -287,7 +291,7 @@ def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> Flo
                 reach = reach / 3
             if value > allowed + TOLERANCE:
                 worse.append(np.clip(point, low, high))
-    return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
+    return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, n))
 
 
 def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatArray) -> FloatArray:

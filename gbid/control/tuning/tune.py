@@ -32,7 +32,7 @@ from gbid.control.tuning.solve import (
     summarise,
     with_idle_at,
 )
-from gbid.core.arrays import FloatArray, point_label
+from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
@@ -44,8 +44,9 @@ from gbid.structure.linear import Structure
 
 def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[str, ...]:
     """Return notes on a design: unfinished fits, unstable open loops, distance to instability, the sampled loop."""
-    given = isinstance(plants, ModelPlants)
-    labels = solution.problem.families[0].labels if given else [point_label(P, Omega) for P, Omega in plants.points]
+    labels = solution.problem.families[0].labels
+    if isinstance(plants, LpvPlants):
+        labels = tuple(map(plants.lpv.domain.label, *plants.points.T))
     unstable = [label for label, rate in zip(labels, plants.slowest, strict=False) if rate < 0]
     notes = tuple(
         ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} comes from a fit that did not converge")
@@ -167,9 +168,9 @@ def tuned(
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
     solution = with_idle_at(solution, box[2])
     used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
-    points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
+    points = () if used is None else tuple(dict.fromkeys(map(tuple, used.tolist())))
     if isinstance(plants, ModelPlants) and isinstance(structure, Scheduled):
-        points = tuple((float(P), float(Omega)) for P, Omega, _ in plants.points)
+        points = tuple(map(tuple, plants.points[:, :-1].tolist()))
     notes = notes_of(plants, solution)
     if isinstance(plants, ModelPlants) and isinstance(options.operating_points, str):
         text = (
@@ -221,7 +222,8 @@ def _constant_gains(
     plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, effort: SearchOptions, budget: Evaluations
 ) -> FloatArray:
     """Return the best constant gains as coefficients of a schedule; from this start a schedule cannot become worse."""
-    constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
+    names = {f"{gain.name}_1" for gain in structure.base.parameters}
+    constant = np.array([parameter.name in names for parameter in structure.parameters])
     low, high, start = (values[constant] for values in box)
     others = replace(plants.continuous, structure=replace(structure, terms=("1",)), box=None)
     others = others.within(low, high, limits, start)

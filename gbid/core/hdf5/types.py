@@ -67,6 +67,8 @@ class Stored:
     keys : str
         For a mapping, the attribute with its keys; mappings with the same attribute share their keys. By default the
         attribute ``names`` of the dataset.
+    late : bool
+        Whether older files lack the field, which then has its default.
     """
 
     unit: str = ""
@@ -74,6 +76,7 @@ class Stored:
     shape: str = ""
     at: str = ""
     keys: str = ""
+    late: bool = False
 
 
 NOT_STORED = Stored(at="nowhere")
@@ -214,6 +217,7 @@ class DataclassGroup:
 
     kind: type
     fields: tuple[tuple[str, str, Codec], ...]  # name, place, codec
+    late: tuple[str, ...] = ()
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
         """Write the value to a new group."""
@@ -232,7 +236,8 @@ class DataclassGroup:
 
     def get(self, group: h5py.Group, given: Mapping[str, Any], context: Context) -> Any:
         """Return the dataclass from the fields of a group; `given` are values of fields that are not stored."""
-        return self.kind(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
+        known = [field for field in self.fields if field[0] not in self.late or _contains(group, field[1])]
+        return self.kind(**{name: codec.read(group, place, context) for name, place, codec in known}, **given)
 
 
 @dataclass(frozen=True)
@@ -403,7 +408,7 @@ def _record(kind: Any) -> DataclassGroup:
     """
     names = [field.name for field in fields(kind)] if is_dataclass(kind) else list(getattr(kind, "_fields"))  # noqa: B009
     hints = get_type_hints(kind, include_extras=True)
-    codecs = []
+    codecs, late = [], []
     for name in names:
         hint, *marks = get_args(hints[name]) if get_origin(hints[name]) is Annotated else (hints[name],)
         stored = next((mark for mark in marks if isinstance(mark, Stored)), None)
@@ -412,7 +417,8 @@ def _record(kind: Any) -> DataclassGroup:
                 codecs.append((name, (stored and stored.at) or name, _codec(hint, stored)))
             except TypeError as error:
                 raise TypeError(f"{kind.__name__}.{name}: {error}") from None
-    return DataclassGroup(kind, tuple(codecs))
+            late += [name] if stored and stored.late else []
+    return DataclassGroup(kind, tuple(codecs), tuple(late))
 
 
 record: Callable[[Any], DataclassGroup] = cache(_record)

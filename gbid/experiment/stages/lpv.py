@@ -29,6 +29,7 @@ from gbid.lpv.model_file import write_model
 from gbid.structure import KEY_PARAMETERS, ScheduledStructure
 from gbid.structure.built_in import pade_order_of
 from gbid.structure.kinds import kind_of
+from gbid.structure.scheduling import SCHEDULING
 
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
@@ -45,15 +46,30 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     yield from refusal(("lpv", "actuators"), partial(lpv_actuators, experiment, section))
     if section.robust and section.weighting == "fits":
         yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
-    points = []
+    scheduling, points = section.scheduling, []
+    if section.direct and scheduling != SCHEDULING:
+        yield ("lpv", "direct"), "is for surfaces over pressure_bar and speed_rpm; leave it out"
     for planned in experiment.fit_recordings(section.fit):
-        if not {"pressure_bar", "speed_rpm"} <= set(planned.conditions):
-            yield where, f"recording {planned.name!r} has no pressure_bar and speed_rpm; surfaces need both"
+        if not set(scheduling) <= set(planned.conditions):
+            yield where, f"recording {planned.name!r} has no {' and '.join(scheduling)}; surfaces need both"
             return
-        points.append([planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]])
+        points.append([planned.conditions[name] for name in scheduling])
     if points and section.order != "auto":
         order = section.order
-        yield from refusal(("lpv", "order"), lambda: check_points(np.array(points), chosen_exponents(order)))
+        yield from refusal(
+            ("lpv", "order"), lambda: check_points(np.array(points), chosen_exponents(order, scheduling), scheduling)
+        )
+
+
+def surfaces_domain(experiment: Experiment) -> lpv.Domain | None:
+    """Return the range of the scheduling variables over the recordings; None where a recording lacks one."""
+    section = needed(experiment.spec.lpv, "lpv")
+    recordings = experiment.fit_recordings(section.fit) if section.fit in experiment.spec.fits else ()
+    rows = [[q.conditions.get(name, np.nan) for name in section.scheduling] for q in recordings]
+    if not rows or np.isnan(rows).any():
+        return None
+    bounds = zip(np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist(), strict=True)
+    return lpv.Domain(*bounds, variables=section.scheduling)
 
 
 def _of_scheduled(experiment: Experiment, section: LpvSection, structure: ScheduledStructure) -> Found:
@@ -120,7 +136,10 @@ class Surfaces:
         """Return the result file of surfaces; its key depends on section, existing fits and actuators."""
         experiment, fit = self._job.experiment, self._section.fit
         models = [entry.model for entry in self._entries if entry.result is not None]
-        settings = {**self._section.model_dump(), "models": models, "found_actuators": self._actuators}
+        dumped = self._section.model_dump()
+        if self._section.scheduling == SCHEDULING:  # the key of files of earlier versions
+            del dumped["scheduling"]
+        settings = {**dumped, "models": models, "found_actuators": self._actuators}
         known = machine_data(experiment)
         settings |= {"machine": known} if known != lpv.MachineData() else {}
         sources = [fit_result(experiment, fit, model) for model in models]
@@ -147,8 +166,12 @@ class Surfaces:
         if kind_of(structure).scheduled:
             actuators = self._actuators or None
             return lpv.lpv_of(results[0], actuators=actuators, name=spec.name, title=spec.title, source=source)
+        over = section.scheduling
+        points = [[entry.conditions.get(name, np.nan) for name in over] for entry in self._entries]
         return lpv.fit_lpv(
             tabulate(self._entries),
+            None if over == SCHEDULING else points,
+            scheduling=over,
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,

@@ -41,7 +41,7 @@ from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.fit import fit_result, load_made_fit
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
-from gbid.experiment.stages.lpv import read_surfaces
+from gbid.experiment.stages.lpv import read_surfaces, surfaces_domain
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
@@ -95,7 +95,8 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
         known = machine_data(experiment) if model is None else model.machine
         yield from _goal_problems(experiment, section, known)
     try:
-        structure = design_structure(experiment, section, None if model is None else model.domain)
+        known_domain = surfaces_domain(experiment) if item is not None else None if model is None else model.domain
+        structure = design_structure(experiment, section, known_domain)
     except GbidError as error:
         yield (error.key or "structure",), str(error)
         return
@@ -123,6 +124,7 @@ def _point_problems(section: ControllerSection, model: lpv.LPVModel) -> Found:
         where: Location = ("operating_points",) if "operating_points" in section.model_fields_set else ()
         yield where, f"model {model.name!r} lists no operating points; list some, or write domain"
     if not isinstance(section.operating_points, str):
+        yield from refusal(("operating_points",), model.need_bearing)
         for i, point in enumerate(section.operating_points):
             yield from outside_domain(model.domain, model.name, point, ("operating_points", i))
 
