@@ -390,7 +390,7 @@ def _set_scatter(j: int, results: PaperResults) -> float:
     scatter = results.experiment.spec.rig.scatter if results.experiment.spec.rig else None
     if scatter is None:
         raise DataError("the rig has no scatter between recordings")
-    drawn = (*scatter.delay_s, *scatter.frequency_hz, *scatter.damping, *scatter.static_gain)[j] * scatter.share
+    drawn = (*scatter.delay_s, *scatter.frequency_hz, *scatter.damping, *scatter.static_gain)[j] * hypot(*scatter.sizes)
     n = len(results.surface_fit.estimates.recordings)
     return float(np.sqrt((drawn**2 + np.mean(_std_of_fits(results)[:, j] ** 2)) * _left_over(results) / n))
 

@@ -41,7 +41,7 @@ from gbid.rig import (
 )
 from gbid.rig.effects import rig_effect
 from gbid.rig.excitation import RPM
-from gbid.rig.machine import scatter_random, scattered
+from gbid.rig.machine import scattered_bearing
 from gbid.rig.piezo import ALLOCATION
 from gbid.rig.response import possible_machines
 from gbid.rig.simulation import Experiment as RigExperiment
@@ -67,9 +67,10 @@ def rig_machine(experiment: Experiment) -> PublishedMachine:
         When the model is missing or its file is faulty.
     """
     name = needed(experiment.spec.rig, "rig").model
-    if Path(name).suffix in (".yaml", ".yml"):
-        return lpv.load_machine(experiment.folder_of(name) / name)
-    return lpv.load_machine(name)
+    is_file = Path(name).suffix in (".yaml", ".yml")
+    machine = lpv.load_machine(experiment.folder_of(name) / name if is_file else name)
+    machine.model.need_bearing()
+    return machine
 
 
 @lru_cache(maxsize=4)
@@ -96,6 +97,8 @@ def _true_parameters(model: lpv.LPVModel, pressure_bar: float, speed_rpm: float)
 def outside_domain(domain: lpv.Domain, name: str, point: Place, where: Location) -> Found:
     """Yield a problem for a pressure or speed outside the domain of a model."""
     for key in ("pressure_bar", "speed_rpm"):
+        if key not in domain.variables:
+            continue
         value, (low, high) = getattr(point, key), getattr(domain, key)
         if not low <= value <= high:
             text = f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside"
@@ -370,8 +373,8 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
         return known
     if len({q.name for q in planned}) > 1:
         return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
-    random = scatter_random(rig.seed, planned[0].name, conditions)
-    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter, random)
+    truth = RotorBearingTruth.from_parameters(known)
+    drawn, _ = scattered_bearing(truth, rig.scatter, rig.seed, planned[0].name, conditions)
     return {**known, **drawn.key_parameters()}
 
 

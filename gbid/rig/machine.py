@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from math import sqrt
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Le
 
 from gbid.core.arrays import FloatArray, frequencies_and_dampings
 from gbid.core.brief import Brief
@@ -524,7 +526,7 @@ _TRIES = 200
 
 @dataclass(frozen=True)
 class Scatter:
-    r"""Random differences of rotor and bearing between recordings at one operating point.
+    r"""Random differences of rotor and bearing between recordings, and between operating points.
 
     The paper gives the scatter of its estimates for delays, natural frequencies, damping factors and static gains.
     These quantities are drawn from independent normal distributions. The fourteen key parameters follow from them: the
@@ -537,9 +539,12 @@ class Scatter:
 
     Parameters
     ----------
-    share : float
-        Factor on all standard deviations. The figures of the paper are deviations of estimates from a polynomial and
-        contain its lack of fit, so the default is one half.
+    share : float, optional
+        Factor on all standard deviations; by default one half, or 1 with `within`. The figures of the paper are
+        deviations of estimates from a polynomial and contain its lack of fit.
+    within : float, optional
+        Share of the variance that differs between the recordings at an operating point. The rest is drawn once for
+        each operating point: what a polynomial such as Eq. 16 misses there. Without it there is no such draw.
     delay_s : (2,) tuple
         Standard deviations of tau_x, tau_y [s]; 0.088 and 0.041 ms, Sec. 4.
     frequency_hz : (2,) tuple
@@ -554,7 +559,8 @@ class Scatter:
         Smallest delay of a draw [s].
     """
 
-    share: NotNegative = 0.5
+    share: NotNegative | None = None
+    within: Annotated[float, Ge(0), Le(1)] | None = None
     delay_s: tuple[NotNegative, NotNegative] = (0.088e-3, 0.041e-3)
     frequency_hz: tuple[NotNegative, NotNegative] = (1.13, 0.58)
     damping: tuple[NotNegative, NotNegative] = (0.0104, 0.0063)
@@ -567,6 +573,14 @@ class Scatter:
 
     def __post_init__(self) -> None:
         check_options(self, "scatter")
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Factors on the standard deviations between operating points, and between recordings at one."""
+        if self.within is None:
+            return 0.0, 0.5 if self.share is None else self.share
+        share = 1.0 if self.share is None else self.share
+        return share * sqrt(1.0 - self.within), share * sqrt(self.within)
 
 
 def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.random.Generator:
@@ -585,8 +599,34 @@ def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"scatter {name} {point}".encode())))
 
 
-def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Generator) -> tuple[RotorBearingTruth, int]:
-    """Return the random rotor and bearing of one recording.
+def scattered_bearing(
+    truth: RotorBearingTruth, scatter: Scatter, seed: int, name: str, conditions: Mapping[str, float]
+) -> tuple[RotorBearingTruth, int]:
+    """Return the random rotor and bearing of a recording, and the number of rejected draws; see `scattered`.
+
+    The draw of the operating point comes first; that of the recording is about it.
+
+    Parameters
+    ----------
+    truth : RotorBearingTruth
+        The machine without scatter.
+    scatter : Scatter
+        Standard deviations and limits.
+    seed, name, conditions
+        As for `scatter_random`.
+    """
+    at_point, _ = scatter.sizes
+    middle, before = truth, 0
+    if at_point:
+        middle, before = scattered(truth, scatter, scatter_random(seed, "", conditions), at_point)
+    drawn, rejected = scattered(middle, scatter, scatter_random(seed, name, conditions))
+    return drawn, before + rejected
+
+
+def scattered(
+    truth: RotorBearingTruth, scatter: Scatter, random: np.random.Generator, size: float | None = None
+) -> tuple[RotorBearingTruth, int]:
+    """Return a random rotor and bearing.
 
     Parameters
     ----------
@@ -596,6 +636,8 @@ def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Gene
         Standard deviations and limits.
     random : numpy.random.Generator
         Source of random numbers; see `scatter_random`.
+    size : float, optional
+        Factor on the standard deviations; by default that of recordings at one operating point.
 
     Returns
     -------
@@ -613,8 +655,9 @@ def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Gene
     gain = -np.linalg.solve(truth.stiffness, truth.input_gain)
     floor = np.minimum(scatter.minimum_damping, 0.5 * damping)
     floor_delay = np.minimum(scatter.minimum_delay_s, 0.5 * truth.delay)
+    size = scatter.sizes[1] if size is None else size
     for thrown in range(_TRIES):
-        z = scatter.share * random.standard_normal(10)
+        z = size * random.standard_normal(10)
         new_frequency = frequency + z[:2] * scatter.frequency_hz
         new_damping = damping + z[2:4] * scatter.damping
         delay = truth.delay + z[4:6] * scatter.delay_s
@@ -629,7 +672,7 @@ def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Gene
         K, D = KD.real[:, :2], KD.real[:, 2:]
         G = gain + np.reshape(z[6:] * scatter.static_gain, (2, 2))
         return replace(truth, stiffness=K, damping=D, input_gain=-K @ G, delay=delay), thrown
-    raise UsageError(f"scatter: no acceptable draw in {_TRIES}; lower share = {scatter.share}")
+    raise UsageError(f"scatter: no acceptable draw in {_TRIES}; lower share = {size:g}")
 
 
 def _modes(truth: RotorBearingTruth) -> tuple[FloatArray, FloatArray, np.ndarray]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 import scipy
@@ -166,8 +167,8 @@ def possible_machines(
     speed = float(conditions["speed_rpm"]) * TURN / 60.0
     bearings = [machine.rotor_bearing]
     if scatter is not None:
-        draws = (scatter_random(0, f"excitation {i}", conditions) for i in range(_DRAWS))
-        bearings += [scattered(machine.rotor_bearing, scatter, random)[0] for random in draws]
+        draws, size = (scatter_random(0, f"excitation {i}", conditions) for i in range(_DRAWS)), hypot(*scatter.sizes)
+        bearings += [scattered(machine.rotor_bearing, scatter, random, size)[0] for random in draws]
     shape = np.linalg.norm(runout(machine.sensors, _TURN), axis=1).max()
     orbits = [unbalance_orbit(bearing, machine.unbalance, speed, _TURN) for bearing in bearings]
     largest = [float(np.linalg.norm(orbit, axis=1).max() + shape) for orbit in orbits]

@@ -27,7 +27,7 @@ from gbid.rig.excitation import (
     Turning,
     whole_samples,
 )
-from gbid.rig.machine import ActuatorTruth, Machine, RigRun, RotorBearingTruth, Scatter, scatter_random, scattered
+from gbid.rig.machine import ActuatorTruth, Machine, RigRun, RotorBearingTruth, Scatter, scattered_bearing
 from gbid.rig.response import MIN_OVERSAMPLING, Forces, draw_noise, draw_whirl, driven_motion, unbalance_orbit
 from gbid.rig.sensors import TURN, ProgramController, SampledController, encoder_angle, quantised, runout
 from gbid.rig.stepping import ProgramLoop, SteppedMotion, Surfaces, stepped_motion, truths_along
@@ -336,8 +336,8 @@ def _posed(
         machine, along, rejected = _along_course(machine, experiment, options, times[:-1])
         pressure, speed = experiment.course.at(times[:-1])
     elif options.scatter is not None:
-        drawn = scatter_random(options.seed, options.name, options.conditions)
-        rotor_bearing, rejected = scattered(machine.rotor_bearing, options.scatter, drawn)
+        key = options.seed, options.name, options.conditions
+        rotor_bearing, rejected = scattered_bearing(machine.rotor_bearing, options.scatter, *key)
         machine = replace(machine, rotor_bearing=rotor_bearing)
     if options.controller is None:
         machine.check_stable()
@@ -388,8 +388,8 @@ def _along_course(
         pressure, speed = (float(v) for v in experiment.course.at(np.array(experiment.duration_s / 2)))
         middle = options.surfaces(np.array([pressure]), np.array([speed]))
         known = RotorBearingTruth.from_parameters({key: np.ravel(value)[0] for key, value in middle.items()})
-        random = scatter_random(options.seed, options.name, {"pressure_bar": pressure, "speed_rpm": speed})
-        drawn, rejected = scattered(known, options.scatter, random)
+        place = {"pressure_bar": pressure, "speed_rpm": speed}
+        drawn, rejected = scattered_bearing(known, options.scatter, options.seed, options.name, place)
         nominal = known.key_parameters()
         deviation = {key: value - nominal[key] for key, value in drawn.key_parameters().items()}
     along = truths_along(options.surfaces, experiment.course, times, deviation)

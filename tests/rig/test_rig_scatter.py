@@ -19,7 +19,7 @@ from gbid.experiment.structures import make_structure
 from gbid.lpv.model import PUBLISHED_RMS
 from gbid.recording import find_problems, load_recording
 from gbid.rig import Faults, PiezoStacks, Prbs, RotorBearingTruth, Scatter, SensorChain, record, saturations
-from gbid.rig.machine import scatter_random, scattered
+from gbid.rig.machine import scatter_random, scattered, scattered_bearing
 from gbid.rig.simulation import drawn_truth
 
 TS = 2e-4
@@ -70,6 +70,23 @@ def test_draw_belongs_to_seed_name_and_operating_point_and_is_told():
     )
 
 
+def test_recordings_at_a_point_share_a_deviation_and_scatter_little_about_it():
+    """Variance of the delays within and between points, by hand; the draw of a point belongs to seed and point."""
+    scatter = replace(SCATTER, share=None, within=0.2, delay_s=(1e-5, 2e-5))
+    delays = np.array([
+        [scattered_bearing(TRUTH, scatter, 1, f"prbs{i}", {"pressure_bar": float(k)})[0].delay for i in range(30)]
+        for k in range(60)
+    ])  # fmt: skip
+    within, between = delays.var(axis=1, ddof=1).mean(axis=0), delays.mean(axis=1).var(axis=0, ddof=1)
+    np.testing.assert_allclose(np.sqrt(within + between), (1e-5, 2e-5), rtol=0.15)
+    np.testing.assert_allclose(within / (within + between), 0.2, atol=0.05)
+    point = {"pressure_bar": 0.0}
+    nearly = replace(scatter, within=1e-12)
+    one, other = (scattered_bearing(TRUTH, nearly, 1, name, point)[0].delay for name in "ab")
+    np.testing.assert_allclose(one, other, rtol=1e-6)
+    assert (Scatter().sizes, Scatter(within=0.36).sizes) == ((0.0, 0.5), pytest.approx((0.8, 0.6)))
+
+
 # ---- scatter from random numbers that are known ----
 
 
@@ -102,7 +119,7 @@ def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
 
 def test_the_scatter_is_that_of_the_papers_recordings() -> None:
     paper = Scatter()
-    assert (paper.share, paper.minimum_damping, paper.minimum_delay_s) == (0.5, 0.01, 2e-5)  # as the docs say
+    assert (paper.sizes, paper.minimum_damping, paper.minimum_delay_s) == ((0.0, 0.5), 0.01, 2e-5)  # as the docs say
     stated = (*paper.delay_s, *paper.frequency_hz, *paper.damping, *paper.static_gain)
     assert stated == tuple(PUBLISHED_RMS.values())
 
