@@ -115,7 +115,9 @@ def _xarray_times(dataset: Any, time: str) -> tuple[FloatArray | None, float | N
     if time not in dataset.coords:
         raise UsageError(f"the dataset has no times: no coordinate {time!r}; give sample_time, or its name: time=")
     axis = dataset.coords[time]
-    times, unit = np.asarray(axis.values), str(axis.attrs.get("units", "s"))
+    times, unit = np.asarray(axis.values), axis.attrs.get("units", "s")
+    if not isinstance(unit, str):
+        raise UsageError(f"coordinate {time!r}: units is of type {type(unit).__name__}; give a text, such as 's'")
     if times.dtype.kind in "fiu":
         times = times * conversion_factor(unit, "s")
     if axis.attrs.get("irregular"):
@@ -395,7 +397,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
             When the dataset has no such variable, a variable has other dimensions, or there are no times.
         """
         chosen = list(map(str, dataset.data_vars)) if signals is None else list(signals)
-        values, stated, channels = {}, dict[str, str](), dict[str, tuple[str, ...]]()
+        values, stated, channels = {}, dict[str, Any](), dict[str, tuple[str, ...]]()
         for key in chosen:
             if key not in dataset.data_vars:
                 raise UsageError(
@@ -407,7 +409,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
                     f"variable {key!r} has the dimensions {variable.dims}, expected ({time!r},) or ({time!r}, channels)"
                 )
                 raise UsageError(f"{text}; transpose it, or name others in signals")
-            values[key], stated[key] = np.asarray(variable.values), str(variable.attrs.get("units", ""))
+            values[key], stated[key] = np.asarray(variable.values), variable.attrs.get("units", "")
             if variable.dims[1:] and variable.dims[1] in variable.coords:
                 channels[key] = tuple(map(str, variable.coords[variable.dims[1]].values))
         known = {str(key): value for key, value in dataset.attrs.items()}
@@ -418,7 +420,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
             values,
             math.nan if step is None else step,
             numbers | dict(conditions or {}),
-            name or str(known.get("name", "recording")),
+            name or known.get("name", "recording"),
             stated | dict(units or {}),
             channels,
             texts,
@@ -664,7 +666,7 @@ def _first_missing(values: FloatArray) -> str:
 
 def _is_finite(value: object) -> bool:
     """Return whether a value is one finite number: float, int, numpy scalar or 0-d array."""
-    if isinstance(value, list | tuple | dict) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
+    if isinstance(value, Sequence | Mapping) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
         return False
     return bool(np.isfinite(value))  # type: ignore[call-overload]
 
@@ -779,4 +781,4 @@ def load_recording(path: str | Path) -> Recording:
     -------
     Recording
     """
-    return hdf5.load(path, Recording)
+    return hdf5.load(path, Recording, apart=True)
