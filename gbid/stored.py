@@ -54,12 +54,13 @@ def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
     DataError
         When the file is missing, damaged, incomplete, of another kind or of another version of gbid.
     """
+    apart = kind is not None
     if kind is None:
-        with hdf5.reading(path) as file:
+        with hdf5.reading(path, apart=True) as file:
             name = hdf5.read_text(file, "gbid_kind")
         if name not in TYPES:
             raise DataError(f"{path}: a {name} file; `gbid.load` reads {', '.join(TYPES)}")
         module, made = TYPES[name]
         kind = getattr(import_module(module), made)
-    value: InFile = hdf5.load(path, kind)
+    value: InFile = hdf5.load(path, kind, apart=apart)
     return value

@@ -106,11 +106,11 @@ def compare(
     from gbid.cli.printing import print_json, print_tables
     from gbid.core.errors import UsageError
     from gbid.core.files import atomic_path
-    from gbid.core.hdf5 import load
     from gbid.identify.result import FitResult
     from gbid.identify.start.black_box import subspace, subspace_orders
     from gbid.recording.recording import load_recording
     from gbid.report.write import comparison_text
+    from gbid.stored import load
     from gbid.validate.comparison import compare as compared
 
     if not on:
@@ -154,8 +154,8 @@ def diff(
     from gbid.cli.printing import print_json, print_tables
     from gbid.control.assessment import TunedDesign
     from gbid.core.errors import UsageError
-    from gbid.core.hdf5 import load
     from gbid.identify import FitResult
+    from gbid.stored import load
 
     folders = first, second
     for folder in folders:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import read_document, save
+from gbid.core.hdf5 import load, read_document, save
 from gbid.core.index import DOCUMENT, known
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording, digest_or_not, with_linked
@@ -22,7 +22,6 @@ from gbid.experiment.schema import ImportedSection
 from gbid.experiment.structures import fit_channels
 from gbid.recording import Recording
 from gbid.recording.quality import ProblemKind, find_problems
-from gbid.recording.recording import load_recording
 
 
 def mapping_of(entry: ImportedSection) -> dict[str, Any]:
@@ -147,7 +146,7 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
     DataError
         When the recording does not exist or was made from other settings.
     """
-    return load_recording(recording_result(job.experiment, planned).require())
+    return load(recording_result(job.experiment, planned).require(), Recording)
 
 
 # ---- Signals of the excited recordings: rms, correlation of the excitations, problems.

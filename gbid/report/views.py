@@ -27,7 +27,7 @@ from gbid.experiment.stages.prefilter import MAP
 from gbid.experiment.stages.static import load_made_static
 from gbid.identify.fit_tables import fit_tables
 from gbid.prefilter.filtering import PrefilterFile
-from gbid.recording.recording import load_recording
+from gbid.recording.recording import Recording
 from gbid.report.campaign_tables import conditions_text
 from gbid.report.read import read_fit
 
@@ -101,7 +101,7 @@ def _fit_tables(job: Job, outcomes: Sequence[Outcome]) -> Iterator[Table]:
 
 def _recordings(job: Job, outcomes: Sequence[Outcome]) -> list[Row]:
     """Return the documents of simulated or imported recordings; failed recordings are left out."""
-    made = [(outcome, load_recording(outcome.path)) for outcome in _made(outcomes, "rig", "import")]
+    made = [(outcome, load(outcome.path, Recording)) for outcome in _made(outcomes, "rig", "import")]
     return [
         {
             "name": recording.name,

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid._version import __version__
+from gbid.core.apart import read_apart
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import atomic_path, has_valid_checksum, library_errors, with_checksum
 from gbid.core.names import given_path, one_line
@@ -337,8 +338,11 @@ def changing(path: Path, mode: str = "r+") -> Iterator[h5py.File]:
 
 
 @contextlib.contextmanager
-def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
+def reading(path: str | Path, kind: FileKind = _ANY, *, apart: bool = False) -> Iterator[h5py.File]:
     """Return a context with an HDF5 file of a kind, opened for reading; by default of any kind.
+
+    With `apart` the reader process first reads all entries: the checksum of a crafted file is right, and the HDF5
+    library may crash or never return on it.
 
     Raises
     ------
@@ -351,7 +355,7 @@ def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-        with opened(path) as file:
+        with opened(path, apart=apart) as file:
             if kind is not _ANY:
                 _check_kind(file, path, kind)
             yield file
@@ -376,8 +380,8 @@ def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file of gbid for reading, after verification of its checksum.
+def opened(path: Path, *, apart: bool = False) -> Iterator[h5py.File]:
+    """Return a context with an HDF5 file of gbid for reading, after verification of its checksum; `apart` as above.
 
     Raises
     ------
@@ -394,6 +398,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
             f"{path}: the checksum at its end is missing: it is truncated, changed by another program, of another "
             "program, or of gbid 0.1.0; create it again, import it, or restore it from a backup"
         )
+    if apart:
+        read_apart(_read_all, path)
     with h5py.File(path, "r") as file:
         link = file.id.links.visit(_outside, info=True)
         if link is not None:
@@ -401,6 +407,26 @@ def opened(path: Path) -> Iterator[h5py.File]:
                 f"{link.decode('utf-8', 'replace')!r} is a link to another file, which gbid never writes"
             )
         yield file
+
+
+def _read_all(path: Path) -> None:
+    """Read every entry of a file; errors of single entries are left to the reader of the value."""
+
+    def read(name: bytes) -> None:
+        try:
+            item = file[name]
+            for key in item.attrs:
+                read_attribute(item, key)
+            if isinstance(item, h5py.Dataset):
+                read_dataset(item, ".", texts=item.dtype.kind == "O")
+        except MemoryError:
+            raise
+        except Exception:
+            return
+
+    with contextlib.suppress(OSError, RuntimeError), h5py.File(path, "r") as file:
+        read(b"/")
+        file.id.links.visit(read)
 
 
 def _outside(name: bytes, about: Any) -> bytes | None:

@@ -685,7 +685,10 @@ def document_in(file: h5py.File) -> Any:
     return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 
-def load(path: str | Path, kind: type[F]) -> F:
-    """Return the value of a kind from an HDF5 file written by `save`; errors as for `gbid.load`."""
-    with reading(path, kind.FILE) as file:
+def load(path: str | Path, kind: type[F], *, apart: bool = False) -> F:
+    """Return the value of a kind from an HDF5 file written by `save`; errors as for `gbid.load`, `apart` for `reading`.
+
+    Results of a run are read without `apart`.
+    """
+    with reading(path, kind.FILE, apart=apart) as file:
         return kind.from_hdf5(file)

@@ -30,7 +30,7 @@ from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_ru
 from gbid.experiment.rig_schema import ControllerName, Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
 from gbid.experiment.schema import HammerTrain, ImpactsSection
-from gbid.recording.recording import load_recording, save_recording
+from gbid.recording.recording import Recording, save_recording
 
 LONGEST_IMPACT = 0.25
 """Longest impact as a fraction of the time between impacts; the ring-down needs the remaining time."""
@@ -234,7 +234,7 @@ def _write_study(job: Job, part: Path, name: str) -> Made:
     controller = controller_at(experiment, point, loop) if loop != "open" else None
     laws = (None, None) if controller is None else (controller.continuous, controller.sampled)
     study = control.study_impacts(
-        [load_recording(recording_result(experiment, impact).require()) for impact in group],
+        [load(recording_result(experiment, impact).require(), Recording) for impact in group],
         expecting_model(experiment)[0],
         *laws,
         harmonics=section.harmonics,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import save
+from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import answered, stationary_at
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Item, Result, needed
@@ -33,7 +33,7 @@ from gbid.prefilter.runout_identification import (
     refuse_lost_index,
 )
 from gbid.recording import Recording
-from gbid.recording.recording import load_recording, with_unbalance
+from gbid.recording.recording import with_unbalance
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
@@ -133,7 +133,7 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
     DataError
         When the recording is missing or was made from other settings.
     """
-    return load_recording(fit_input(job.experiment, planned).require())
+    return load(fit_input(job.experiment, planned).require(), Recording)
 
 
 def _write_prefiltered(job: Job, part: Path, name: str) -> None:

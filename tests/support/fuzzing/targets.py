@@ -333,4 +333,5 @@ def _design() -> TunedDesign:
 
 
 def _seal_mutated(random: Random, content: bytes) -> bytes:
-    return with_checksum(mutate_hdf5(random, content))
+    """Change entries or bytes, and make the checksum anew, as somebody would who attacks the reader."""
+    return with_checksum(random.choice((mutate_hdf5, mutate_bytes))(random, content))
