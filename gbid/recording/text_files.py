@@ -537,8 +537,8 @@ def _with_header(
     if options.header_line is not None:
         header = next((line for line in lines if line.number == options.header_line), None)
         return layout(header, *_below(columns, [line for line in content if line.number > options.header_line]))
-    start = first
-    while start > 0 and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
+    start, lowest = first, max(0, first - _BLOCK_LINES)
+    while start > lowest and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
     direct = [i for i in range(start, first) if columns.is_names(content[i].text)]
     named = _last_with_time(columns, content, _without_values_below(columns, content, direct))
