@@ -57,7 +57,7 @@ def with_linked(path: Path) -> list[Path]:
     """Return a data file and the files to which it links."""
     try:
         return [path, *map(Path, known(path, "linked", files_beside))]
-    except OSError:
+    except (OSError, DataError):  # which its import tells
         return [path]
 
 

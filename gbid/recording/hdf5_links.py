@@ -11,7 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +24,7 @@ from gbid.core.errors import DataError
 HDF5_ENDINGS = (".h5", ".hdf5")
 """Endings of the HDF5 files of other programs."""
 _MOST = 32  # links one after another, and virtual datasets of virtual datasets
+_DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError)  # what h5py raises on a damaged file
 _INSTEAD = "save the numbers in the file itself"
 
 
@@ -238,13 +239,13 @@ def linked(path: Path, *, alone: bool = False) -> Iterator[LinkedFile]:
 
 
 def linked_files(path: Path) -> list[Path]:
-    """Return the files that an HDF5 file links to, without refused files."""
-    if not h5py.is_hdf5(path):
-        return []
-    with linked(path) as file:
-        for _ in file.datasets():
-            pass
-        return list(file.used)
+    """Return the files that an HDF5 file links to, without refused files; of a damaged file those that are found."""
+    used: list[Path] = []
+    if h5py.is_hdf5(path):
+        with suppress(DataError, *_DAMAGED), linked(path) as file:
+            for _ in file.datasets():
+                used = list(file.used)
+    return used
 
 
 def refuse_links(path: Path) -> None:
@@ -262,16 +263,13 @@ def refuse_links(path: Path) -> None:
 
 
 def files_beside(path: Path) -> list[str]:
-    """Return the files that a file links to; none for other formats and damaged files.
+    """Return the files that a file links to; none for other formats.
 
     Raises
     ------
     OSError
         When the file cannot be read.
+    DataError
+        When its reader does not answer: a time-out, a crash, or memory.
     """
-    if path.suffix.lower() not in HDF5_ENDINGS:
-        return []
-    try:
-        return [str(other) for other in read_apart(linked_files, path)]
-    except DataError:  # which its import tells
-        return []
+    return [str(other) for other in read_apart(linked_files, path)] if path.suffix.lower() in HDF5_ENDINGS else []
