@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -27,6 +28,7 @@ _DEEPEST = 50
 _BITS = 1024  # of a whole number: a larger one has no float, and Python prints no number of 4300 digits
 _ALIASED = 50_000
 _VALUES = 50_000  # the parser takes 0.1 to 0.3 ms for each
+_COMMENT = re.compile(rb"^[ \t]*#[^'\"\r\n\xc2\xe2]*\n", re.MULTILINE)  # no value, even in a text over several lines
 _MERGED = 2_000_000
 _BRACKETS = 500
 _KEPT = 100_000  # characters of the longest text whose tree is kept
@@ -85,7 +87,7 @@ def read_yaml(path: Path, text: str | None = None) -> YamlFile:
             raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into separate files")
         if _open_brackets(content) > _BRACKETS:
             raise UsageError(f"{path}: more than {_BRACKETS} brackets are opened and not closed; close them")
-        if (count := sum(map(content.count, (b"\n", b",", b": ")))) > _VALUES:
+        if (count := sum(map(_COMMENT.sub(b"", content).count, (b"\n", b",", b": ")))) > _VALUES:
             raise UsageError(f"{path}: some {count} values, more than {_VALUES}; put tables into files of their own")
         if content.count(b"<<") * count > _MERGED:
             raise UsageError(
