@@ -111,6 +111,7 @@ _WORDS = {
     **dict.fromkeys(("in", "inch", "inches", "zoll"), _Unit(0.0254, _M)),
     **dict.fromkeys(("mil", "mils", "thou"), _Unit(2.54e-5, _M)),
     "ft": _Unit(0.3048, _M),
+    **dict.fromkeys(("kgf", "kp"), _Unit(9.80665, _FORCE)),
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden"), _Unit(1.0, _S)),
     **dict.fromkeys(("seconde", "secondes", "secondo", "secondi", "segundo", "segundos"), _Unit(1.0, _S)),
     **dict.fromkeys(("msec", "millisecond", "milliseconds", "millisekunden"), _Unit(1e-3, _S)),
