@@ -100,13 +100,14 @@ Duration = Annotated[float, Exact(finite=True), Gt(0), Le(36_000)]
 Names = Annotated[tuple[str, ...], OneText()]
 
 
+_MOST_ENTRIES = 10_000_000  # of a list or a range
 _DEEPEST = 50  # lists and mappings one within another
 _First = TypeVar("_First")
 _Second = TypeVar("_Second")
 _Made = TypeVar("_Made")
 _Result = TypeVar("_Result")
 _Keywords = ParamSpec("_Keywords")
-_Constructor = TypeVar("_Constructor", bound=Callable[..., None])
+_Constructor = TypeVar("_Constructor", bound=Callable[..., Any])
 
 
 def type_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -175,12 +176,12 @@ def plain(value: Any, depth: int = 0) -> Any:
 
 
 def checks_arguments(constructor: _Constructor) -> _Constructor:
-    """Return the ``__init__`` of a class with a check of its arguments; see `check_call`."""
+    """Return the ``__init__`` or a class method with a check of its arguments; see `check_call`."""
 
     @wraps(constructor)
-    def checked(*args: Any, **keywords: Any) -> None:
+    def checked(*args: Any, **keywords: Any) -> Any:
         check_call(constructor, args, keywords)
-        constructor(*args, **keywords)
+        return constructor(*args, **keywords)
 
     return cast(_Constructor, checked)
 
@@ -247,7 +248,7 @@ def check_call(function: Any, given: tuple[Any, ...], keywords: Mapping[str, Any
             if not kind.allows(each):
                 raise _not_allowed(owner, name, each, kind.hint, _other_way_round(owner, name, each, kinds))
             if _has_nan(each):
-                raise UsageError(f"{owner}: {name} = {_short(each)}; give a finite number", name)
+                raise UsageError(f"{owner}: {name} = {short_text(each)}; give a finite number", name)
 
 
 def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, CheckedType]) -> str:
@@ -283,7 +284,7 @@ def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -
     alternatives = list(dict.fromkeys(_words(kind)))
     verb = "choose" if all(word.startswith("'") for word in alternatives) else "give"
     return UsageError(
-        f"{owner}{': ' if owner else ''}{place} = {_short(value)}; {verb} {_either(alternatives)}{also}", name
+        f"{owner}{': ' if owner else ''}{place} = {short_text(value)}; {verb} {_either(alternatives)}{also}", name
     )
 
 
@@ -313,7 +314,7 @@ def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
     return next((entry for entry in entries if not _allows(entry[2], entry[1])), None)
 
 
-def _short(value: Any) -> str:
+def short_text(value: Any) -> str:
     """Return a value as text for a message: on one line; of a long value only the type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
@@ -410,6 +411,8 @@ def _entries(ordered: bool, value: Any) -> Any:
     """Return the entries of a collection; texts, mappings and (where order counts) sets are no collections."""
     is_single = (isinstance(value, np.ndarray) and value.ndim == 0) or not isinstance(value, Collection)
     if is_single or isinstance(value, str | bytes | bytearray | Mapping) or (ordered and isinstance(value, Set)):
+        raise ValueError
+    if len(value) > _MOST_ENTRIES:
         raise ValueError
     return tuple(value)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 import h5py
 import numpy as np
@@ -20,7 +20,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame, extra_package
 from gbid.core.figures import Pictured
-from gbid.core.option_types import Own, check_options
+from gbid.core.option_types import Own, check_options, checks_arguments, short_text
 from gbid.core.units import SIGNALS, conversion_factor
 from gbid.recording.clock import MAX_JITTER
 from gbid.recording.columns import seconds
@@ -46,9 +46,7 @@ def signal_columns(
     UsageError
         When the frame has no such column.
     """
-    names, given = [str(name) for name in frame.columns], cast(object, signals)
-    if given is not None and not isinstance(given, Mapping):
-        raise UsageError(f"signals: expected columns by signal, as {{'u': ['ux', 'uy']}}, found {given!r:.300}")
+    names = [str(name) for name in frame.columns]
     if signals is None:
         grouped: dict[str, list[str]] = {}
         for name in names:
@@ -62,7 +60,7 @@ def signal_columns(
     values = {}
     for key, chosen in signals.items():
         columns = [chosen] if isinstance(chosen, str) else list(chosen)
-        if missing := [name for name in columns if name not in names]:
+        if missing := [name for name in columns or [""] if name not in names]:
             raise UsageError(f"signal {key!r}: the frame has no column {missing[0]!r}; it has {', '.join(names)}")
         values[key] = np.column_stack([np.asarray(frame.iloc[:, names.index(name)]) for name in columns])
     return values, named
@@ -193,10 +191,14 @@ class Recording(Brief, Pictured, hdf5.InFile):
         if stamps is not None:
             stamps, sample_time = _irregular(self.name, stamps, self.n_samples)
         if not (_is_finite(sample_time) and sample_time > 0):
-            raise DataError(f"recording {self.name!r}: sample_time = {sample_time!r} s; it must be a positive number")
+            raise DataError(
+                f"recording {self.name!r}: sample_time = {short_text(sample_time)} s; it must be a positive number"
+            )
         for key, value in self.conditions.items():
             if not _is_finite(value):
-                raise DataError(f"recording {self.name!r}: condition {key} = {value!r} is not a finite number")
+                raise DataError(
+                    f"recording {self.name!r}: condition {key} = {short_text(value)} is not a finite number"
+                )
         units, channels = {}, {}
         for name, values in signals.items():
             known, n = SIGNALS.get(name), values.shape[1]
@@ -287,6 +289,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return brief(self, about, **signals, conditions=self.conditions)
 
     @classmethod
+    @checks_arguments
     def from_frame(
         cls,
         frame: Any,
@@ -354,6 +357,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return frame
 
     @classmethod
+    @checks_arguments
     def from_xarray(
         cls,
         dataset: Any,
@@ -631,7 +635,7 @@ _EVEN = 1e-9  # largest deviation of a step from the mean step, relative, that i
 
 def _irregular(recording: str, stamps: npt.ArrayLike, n: int) -> tuple[FloatArray | None, float]:
     """Return irregular times counted from the first (None if evenly spaced), and their mean step."""
-    time = np.asarray(stamps, float)
+    time = _real(f"recording {recording!r}: stamps", stamps)
     if time.shape != (n,) or n < 2:
         raise DataError(f"recording {recording!r}: stamps have shape {time.shape}; give a time for each of {n} samples")
     steps = np.diff(time)
@@ -680,18 +684,23 @@ def _check_key(recording: str, key: object) -> None:
         )
 
 
-def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
-    """Return a checked signal as a read-only float array."""
-    where = f"recording {recording!r}: signal {signal!r}"
+def _real(where: str, values: npt.ArrayLike) -> FloatArray:
+    """Return a copy of an array of real numbers as floats; masked ones become NaN."""
     try:
         # numpy would silently drop a mask or an imaginary part and read text as numbers
         raw = np.ma.filled(values.astype(float), np.nan) if isinstance(values, np.ma.MaskedArray) else values
         raw = np.asarray(raw)
         if raw.dtype.kind not in "fiub":
             raise TypeError(raw.dtype)
-        array = np.array(raw, dtype=float, order="C")  # a copy: the caller's array stays writable
-    except (TypeError, ValueError):
+        return np.array(raw, dtype=float, order="C")  # a copy: the caller's array stays writable
+    except (TypeError, ValueError, MemoryError):
         raise DataError(f"{where} is not an array of real numbers") from None
+
+
+def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
+    """Return a checked signal as a read-only float array."""
+    where = f"recording {recording!r}: signal {signal!r}"
+    array = _real(where, values)
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2:

@@ -20,6 +20,7 @@ from gbid.core.units import SIGNALS, conversion_factor
         ("deg", "rad", math.pi / 180),
         ("turn", "rad", 2 * math.pi),
         ("kN", "N", 1e3),
+        ("kgf", "N", 9.80665),
         ("m/s", "mm/ms", 1.0),
         ("percent", "", 0.01),
         ("bar", "Pa", 1e5),

@@ -10,6 +10,7 @@ import gbid
 from gbid.core.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.recordings import recording_result
+from gbid.recording import hdf5_links
 from gbid.recording.importing import list_channels
 
 N = 40
@@ -195,6 +196,21 @@ def test_bytes_of_a_linked_file_count(tmp_path):
     assert content_key_of(tmp_path / "e.yaml") != key
     origin = load_experiment(tmp_path / "e.yaml").origin(["a"])
     assert set(origin["data"]) == {"a.h5", "b.h5"}
+
+
+def test_a_reader_that_does_not_tell_the_links_is_named(tmp_path, monkeypatch):
+    """A recording without the digests of its linked files would stay when these change."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["y"] = INSIDE
+
+    def late(_read, path):
+        raise DataError(f"{path}: time-out")
+
+    monkeypatch.setattr(hdf5_links, "read_apart", late)
+    with pytest.raises(DataError, match="time-out"):
+        gbid.import_recording(tmp_path / "a.h5", MAPPING)
+    (tmp_path / "e.yaml").write_text(EXPERIMENT)
+    assert content_key_of(tmp_path / "e.yaml")
 
 
 EXPERIMENT = """\

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import gbid
-from gbid.core.errors import UsageError
+from gbid.core.errors import GbidError, UsageError
 from gbid.core.yaml_file import read_yaml
 from gbid.recording import ImportMapping
 
@@ -52,5 +52,45 @@ def test_a_value_of_another_type_is_named():
     mapping = {"time": "t", "signals": {"y": {"columns": ["a"], "hold": np.zeros((2, 2))}}}
     with pytest.raises(UsageError, match="hold"):
         ImportMapping.from_dict(mapping)
-    with pytest.raises(UsageError, match="signals: expected columns by signal"):
+    with pytest.raises(UsageError, match="signals = nan; give a dict by name"):
         gbid.Recording.from_frame(pd.DataFrame({"a": [1.0, 2.0]}), math.nan, sample_time=1e-3)
+
+
+DEEP: list = []
+for _ in range(3000):
+    DEEP = [DEEP]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda f: gbid.Recording.from_frame(f, {"u": 3}, sample_time=1e-3), r"signals\['u'\] = 3; give a text"),
+        (lambda f: gbid.Recording.from_frame(f, {"u": ()}, sample_time=1e-3), "no column ''; it has a"),
+        (lambda f: gbid.Recording.from_frame(f, sample_time=1e-3, conditions=np.zeros(0)), "conditions"),
+        (lambda f: gbid.Recording.from_frame(f, range(10**9), sample_time=1e-3), "give a dict by name"),
+        (lambda f: gbid.Recording({"y": f["a"]}, stamps="12"), "stamps is not an array of real numbers"),
+        (lambda f: gbid.Recording({"y": f["a"]}, DEEP), "sample_time = a value of type list s"),
+        (lambda f: gbid.Recording({"y": f["a"]}, 1e-3, {"load": range(10**9)}), "condition load"),
+    ],
+)
+def test_odd_values_of_recordings_are_named(make, words):
+    with pytest.raises(GbidError, match=words):
+        make(pd.DataFrame({"a": [1.0, 2.0]}))
+
+
+@pytest.mark.parametrize("of", ["dataset", "signal", "time"])
+def test_odd_attributes_of_datasets_are_named(of):
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'gbid[xarray]'")
+    dataset = gbid.Recording({"y": np.arange(9.0)}, 1e-3).to_xarray()
+    at, key = {"dataset": (dataset, "name"), "signal": (dataset["y"], "units"), "time": (dataset["time"], "units")}[of]
+    at.attrs[key] = DEEP
+    with pytest.raises(UsageError, match="give a text"):
+        gbid.Recording.from_xarray(dataset)
+
+
+def test_commas_in_comments_are_no_values(tmp_path):
+    (tmp_path / "a.yaml").write_text(("# " + "1, " * 100 + "\n") * 600 + "a: '\n# b'\n")
+    assert read_yaml(tmp_path / "a.yaml").data == {"a": " # b"}
+    (tmp_path / "a.yaml").write_text("a: ['\n# '" + ",1" * 60_000 + "]\n")
+    with pytest.raises(UsageError, match="60003 values, more than"):
+        read_yaml(tmp_path / "a.yaml")

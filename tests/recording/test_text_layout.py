@@ -5,7 +5,7 @@ import pytest
 from experiment_files import json_of, printed_by
 
 from gbid.core.errors import DataError
-from gbid.recording import import_recording
+from gbid.recording import import_recording, text_files
 from gbid.recording.mapping import TextOptions
 from gbid.recording.text_files import read_table
 
@@ -133,3 +133,16 @@ def test_a_line_that_says_unit_has_the_units(tmp_path, text, names, units):
     (tmp_path / "a.txt").write_text(text)
     table = read_table(tmp_path / "a.txt")
     assert (table.headings, table.units, len(table.rows)) == (names, units, 3)
+
+
+def test_a_long_text_without_numbers_takes_no_longer_for_its_names(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(text_files, "is_file_unit", lambda cell: calls.append(cell))
+    counts = []
+    for lines in (3000, 6000):
+        calls.clear()
+        (tmp_path / "a.csv").write_text("a;b\tc, d\n" * lines)
+        with pytest.raises(DataError, match="is not a number"):
+            text_files.read_table(tmp_path / "a.csv").columns([0])
+        counts.append(len(calls))
+    assert counts[0] == counts[1]
