@@ -12,11 +12,12 @@ _ORDER = 8  # past samples of source and target that predict the target
 _HARMONICS = 6  # of the shaft angle: steps of a source may keep time with the shaft
 _REACH = (3, 5, 8, 13, 24, 48, 96, 192)  # samples before and behind a step over which its effect is summed
 _STEP = 8.0  # smallest step of a source, in robust standard deviations of what its past does not predict
-_APART = 6  # samples after a step in which a controller may answer to it
+_APART = 6  # samples after a step, or before white noise, in which a controller may answer
 _LEAST_STEPS, _EACH_WAY = 20, 0.2  # fewest steps; smallest share of either direction, which impacts do not have
 _ROWS = 8_000  # largest number of samples that are looked at
 _NOISE = 5e-3  # of its standard deviation, added to the target: what is smaller may be an error of the linear model
 _CONSTANT = 1e-9
+_LAGS, _WHITE = (8, 200), 4.0  # of white noise: sums of squared correlations, largest in standard deviations above mean
 _CLIPPED = 4.0  # robust standard deviations that a residual counts at most
 _EXPLAINED, _CHI2 = 0.015, 120.0  # of what the past leaves: share that steps to come must explain, and its evidence
 
@@ -41,8 +42,8 @@ def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None
 
     A step is a sample of the source far beyond what its own past predicts, as the edges of a PRBS; neither a controller
     nor a resonance makes one. What the past of both signals and a step at the present or the next sample leave of the
-    target is regressed on sums of later steps. A source without steps may follow the target by feedback, and is not
-    judged.
+    target is regressed on sums of later steps. White noise counts as steps at every sample: feedback of a resonance
+    would colour it. Another source may follow the target by feedback, and is not judged.
 
     Parameters
     ----------
@@ -57,7 +58,8 @@ def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None
     if n < 6 * far:
         return None
     steps = [found for column in source.T if (found := _steps(column)) is not None]
-    if not steps:
+    shortest = 0 if steps else _APART
+    if not (steps := steps or [column - column.mean() for column in source.T if _is_white(column)]):
         return None
     total = np.cumsum(np.stack(steps, axis=1), axis=0)  # a difference of two rows is a sum of steps
 
@@ -93,7 +95,8 @@ def lead_before(source: FloatArray, target: FloatArray, angle: FloatArray | None
         return None
     sums = [known + list(range(n_known + wide * k, n_known + wide * (k + 1))) for k in range(len(_REACH))]
     fits = [float(np.sum(left_by(left[:, channel], columns) ** 2)) for columns in sums]
-    return Lead(channel, _REACH[int(np.argmin(fits))])
+    samples = _REACH[int(np.argmin(fits))]
+    return Lead(channel, samples) if samples > shortest else None
 
 
 def _steps(column: FloatArray) -> FloatArray | None:
@@ -110,3 +113,11 @@ def _steps(column: FloatArray) -> FloatArray | None:
             steps[at + _ORDER], last = np.sign(left[at]), at
     ups, downs = int(np.sum(steps > 0)), int(np.sum(steps < 0))
     return steps if ups + downs >= _LEAST_STEPS and min(ups, downs) >= _EACH_WAY * (ups + downs) else None
+
+
+def _is_white(column: FloatArray) -> bool:
+    """Return whether a signal is white noise: feedback of a resonance would colour it."""
+    power = np.abs(np.fft.rfft(column - column.mean(), 2 * len(column))) ** 2
+    correlation = np.fft.irfft(power)
+    squares = len(column) * np.cumsum(correlation[1 : _LAGS[-1] + 1] ** 2) / max(correlation[0] ** 2, 1e-300)
+    return bool(power.any()) and all(squares[m - 1] < m + _WHITE * np.sqrt(2 * m) for m in _LAGS)

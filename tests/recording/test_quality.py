@@ -19,6 +19,7 @@ from gbid.rig import (
     Machine,
     NonSynchronous,
     PiezoStacks,
+    Played,
     Prbs,
     ProcessNoise,
     RunUp,
@@ -175,6 +176,18 @@ def test_an_answer_before_its_cause_is_named(prbs, late, names):
         assert "answers before its cause" in problem.text
         assert "[GB143]" in problem.text
         assert int(problem.text.partition("about ")[2].split()[0]) == pytest.approx(sum(late), rel=0.7)
+
+
+@pytest.mark.parametrize("controller", [None, feedback(), feedback(0.5, 2e-4)], ids=["open", "P", "PD"])
+def test_white_noise_shows_an_answer_before_its_cause(controller):
+    """In a loop the noise is w; a recorded r that follows p is no white noise."""
+    levels = 4e-6 * np.random.default_rng(1).standard_normal((5000, 2))
+    options = {"controller": controller} if controller else {}
+    rec = rig(Played(levels, 2e-4), 6.0, 0.0, **options)
+    for names in ("wrup", "rup", "up"):
+        some = replace(rec, signals={q: v for q, v in rec.signals.items() if q in names})
+        assert "cause" not in {kind for kind, *_ in found(some)}
+    assert ("cause", "p", "") in found(early(rec, "p", 15))
 
 
 def test_one_sample_early_is_the_time_between_two_converters(prbs):
