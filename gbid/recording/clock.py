@@ -187,10 +187,12 @@ _OFF_GRID = 0.02  # largest part of a sample by which starts of clocks, and thei
 def has_one_clock(columns: Mapping[str, FileColumn]) -> bool:
     """Return whether all columns have equal times, as far as the file states starts and steps."""
     starts = {column.start_ns for column in columns.values()}
+    steps = [column.sample_time for column in columns.values() if column.sample_time is not None]
+    if steps and max(steps) - min(steps) > _SAME_STEP * max(steps):
+        return False
     if len({column.clock for column in columns.values()}) <= 1:
         return len(starts - {None}) <= 1
-    steps = [column.sample_time or 0.0 for column in columns.values()]
-    return len(starts) == 1 and None not in starts and max(steps) - min(steps) <= _SAME_STEP * max(steps)
+    return len(starts) == 1 and None not in starts and len(steps) in (0, len(columns))
 
 
 def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColumn]:
@@ -210,6 +212,7 @@ def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColum
     """
     if has_one_clock(columns):
         return dict(columns)
+    _refuse_other_rates(path, {name: each.sample_time for name, each in columns.items() if each.sample_time})
     for name, column in columns.items():
         if column.start_ns is None or column.sample_time is None:
             other = next(each for each in columns if each != name)
@@ -218,7 +221,6 @@ def joined(path: Path, columns: Mapping[str, FileColumn]) -> dict[str, FileColum
                 f"joined with {other!r}; import columns of one clock, or resample them with the program of the logger"
             )
     steps = {name: float(column.sample_time or 0.0) for name, column in columns.items()}
-    _refuse_other_rates(path, steps)
     step, start = min(steps.values()), max(column.start_ns or 0 for column in columns.values())
     offsets = {name: 1e-9 * (start - (column.start_ns or 0)) / steps[name] for name, column in columns.items()}
     firsts = {name: round(offset) for name, offset in offsets.items()}

@@ -548,8 +548,9 @@ def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
     experiments, channels = experiments_of(value, where), dict[str, StoredArray]()
     for each in experiments:
         prefix = f"{each.name}." if len(experiments) > 1 else ""
+        clock = (each.sample_time, None if each.start is None or each.sample_time is None else round(1e9 * each.start))
         for name, channel in (each.inputs | each.outputs).items():
-            channels[f"{prefix}{name}"] = StoredArray(channel.values, channel.unit or None, each.sample_time)
+            channels[f"{prefix}{name}"] = StoredArray(channel.values, channel.unit or None, clock[0], start_ns=clock[1])
         if each.time is not None:
             channels[f"{prefix}time"] = StoredArray(each.time, "s")
     return channels

@@ -40,8 +40,8 @@ class IddataExperiment(NamedTuple):
         Channels by name, ``u1``, ``y1`` where MATLAB has none.
     sample_time : float or None
         Time between samples [s]; None where the object has sampling instants instead.
-    start : float
-        Time of the first sample [s].
+    start : float or None
+        Time of the first sample [s], where the object states it.
     time : (n_samples,) array or None
         Sampling instants [s].
     hold : tuple of str
@@ -52,7 +52,7 @@ class IddataExperiment(NamedTuple):
     inputs: dict[str, IddataChannel]
     outputs: dict[str, IddataChannel]
     sample_time: float | None
-    start: float
+    start: float | None
     time: FloatArray | None
     hold: tuple[str, ...]
 
@@ -83,14 +83,13 @@ def experiments_of(data: Mapping[str, Any], where: str) -> list[IddataExperiment
             for arrays, side, letter in ((inputs, "Input", "u"), (outputs, "Output", "y"))
         )
         step = steps[k] if k < len(steps) else np.zeros(0)
-        start = starts[k] if k < len(starts) and starts[k].size else np.zeros(1)
+        begin = float(starts[k].flat[0]) * _SECONDS[unit] if k < len(starts) and starts[k].size else None
         even = bool(step.size) and bool(np.isfinite(step).all())
         time = instants[k].ravel() * _SECONDS[unit] if not even and k < len(instants) and instants[k].size else None
         if not even and time is None:
             raise DataError(f"{where}: experiment {k + 1} has neither a sample time Ts nor SamplingInstants")
         sample_time = float(step.flat[0]) * _SECONDS[unit] if even else None
         name = _name(names[k] if k < len(names) else "", f"Exp{k + 1}")
-        begin = float(start.flat[0]) * _SECONDS[unit]
         hold = tuple(holds[: len(driving)])
         experiments.append(IddataExperiment(name, driving, measured, sample_time, begin, time, hold))
     return experiments

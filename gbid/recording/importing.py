@@ -174,7 +174,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
                     "source_file": path.name,
                     "source_sha256": sha256_of(path),
                     "intersample": ", ".join(each.hold),
-                    "start_s": f"{each.start:g}",
+                    "start_s": f"{each.start or 0.0:g}",
                 },
                 stamps=each.time,
             )

@@ -455,9 +455,11 @@ class _Candidate:
         tail = [split_cells(line.text, delimiter) for line in content[1:][-last:] or content]
         self.count, alike = Counter(len(row) for row in tail).most_common(1)[0] if tail else (0, 0)
         rows = [row for row in tail if len(row) == self.count]
-        self.numeric = [i for i in range(self.count) if self._is_numeric([row[i] for row in rows])]
         spread = [split_cells(line.text, delimiter) for line in content[1 :: max(1, len(content) // _SPREAD)]]
-        rows += [row for row in spread if len(row) == self.count and all(_is_value(c, decimal) for c in row if c)]
+        full = [row for row in spread if len(row) == self.count and all(_is_value(c, decimal) for c in row if c)]
+        columns = (([row[i] for row in rows if row[i]] or [row[i] for row in full]) for i in range(self.count))
+        self.numeric = [i for i, cells in enumerate(columns) if self._is_numeric(cells)]  # columns may end early
+        rows += full
         self.open_end = bool(rows) and self.count > 1 and not any(row[-1] for row in rows)
         self.filled = [i for i in range(self.count) if any(row[i] for row in rows)]
         self.empty = sorted(set(range(self.count)).difference(self.filled))

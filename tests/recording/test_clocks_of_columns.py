@@ -67,6 +67,18 @@ def test_a_shorter_column_with_its_own_clock_ends_the_span(tmp_path):
     assert np.array_equal(recording.signals["p"][:, 0], np.array(p[LATE : LATE + 100]) * 1e-6)
 
 
+def test_a_first_column_that_ends_early_is_no_other_delimiter(tmp_path):
+    """Rows of LabVIEW end with a tab; cells that are empty begin the last rows."""
+    p, u = signals()
+    rows = [f"{DT * k:.4f}\t{float(p[k])!r}" if k < 120 else "\t" for k in range(200)]
+    head = ["LabVIEW Measurement", "Separator\tTab", "X_Value\tp\tX_Value\tu\tComment"]
+    rows = [f"{row}\t{DT * (k + LATE):.4f}\t{float(u[k])!r}\t" for k, row in enumerate(rows)]
+    (tmp_path / "a.lvm").write_text("\n".join([*head, *rows, ""]))
+    recording = gbid.import_recording(tmp_path / "a.lvm", {**P_AND_U, "time": "X_Value"})
+    assert np.array_equal(recording.signals["u"][:, 0], u[: 120 - LATE] * 1e-6)
+    assert np.array_equal(recording.signals["p"][:, 0], p[LATE:120] * 1e-6)
+
+
 @pytest.mark.parametrize(
     ("late", "step", "words"),
     [

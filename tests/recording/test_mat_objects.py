@@ -230,3 +230,14 @@ def test_sampling_instants_are_kept(tmp_path):
 def test_what_iddata_cannot_be_read_is_named(tmp_path, variables, words):
     with pytest.raises(GbidError, match=words):
         gbid.recording.load_iddata(file(tmp_path, "v7", **variables))
+
+
+def test_objects_with_their_own_starts(tmp_path):
+    def recorded(start):
+        return opaque("iddata", InputData=U, OutputData=Y, Ts=np.array([[H]]), Tstart=np.array([[start]]))
+
+    mapping = {"signals": {"s": {"columns": ["a.y1", "b.y1"]}}}
+    rec = import_recording(file(tmp_path, "v7", a=recorded(0.0), b=recorded(15 * H)), mapping)
+    np.testing.assert_array_equal(rec.signals["s"], np.column_stack([Y[15:], Y[:-15]]))
+    with pytest.raises(GbidError, match=r"0\.5 of a sample off"):
+        import_recording(file(tmp_path, "v7", a=recorded(0.0), b=recorded(2.5 * H)), mapping)

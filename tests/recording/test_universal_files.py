@@ -63,6 +63,24 @@ def test_functions_of_time_are_imported(tmp_path, capsys, binary):
         gbid.import_recording(path, {"signals": {"force": {"columns": ["2x"], "unit": "N"}}})
 
 
+@pytest.mark.parametrize(
+    ("start", "step", "words"),
+    [(15 * DT, DT, ""), (0.0, 1.0005 * DT, "steps of their clocks differ"), (0.0, 2 * DT, "different sample times")],
+)
+def test_functions_with_their_own_clocks(tmp_path, start, step, words):
+    t, um = DT * np.arange(300), {"ordinate_axis_units_lab": "um"}
+    path = written(
+        tmp_path / "a.uff", function(1, X, t, 1, 1, **um), function(1, Y, start + step / DT * t, 1, -2, **um)
+    )
+    mapping = {"signals": {"p": {"columns": ["1x", "1-y"]}}}
+    if words:
+        with pytest.raises(DataError, match=words):
+            gbid.import_recording(path, mapping)
+        return
+    recording = gbid.import_recording(path, mapping)
+    np.testing.assert_allclose(recording.signal("p"), 1e-6 * np.column_stack([X[15:], Y[:-15]]), rtol=1e-10)
+
+
 def test_frequency_responses_have_the_weights_of_their_coherence(tmp_path):
     coherence = RANDOM.uniform(0.5, 0.99, (2, 26))
     sets = [function(k, v[i], F, 3, i + 1) for i in range(2) for k, v in ((4, G), (6, coherence))]
