@@ -18,7 +18,7 @@ _STAMP = re.compile(
 )
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
-_DAY_NS = 86400 * 10**9
+_DAY_NS, _PAUSE_NS = 86400 * 10**9, 60 * 10**9
 _ORDERS = ("dmy", "mdy", "ymd")  # of day, month and year in a date
 
 
@@ -60,11 +60,17 @@ def times_of_day(column: Sequence[str]) -> FloatArray:
             of = f" of the form of {column[0]!r} in the first row" if form and k else ""
             raise StampError(k, f"{column[k]!r} is no time stamp{of}")
     first = stamps[0][1]
-    if len({tuple(day - days[first] for day in days.values()) for days in orders.values()}) > 1:
+    offsets = {tuple(day - days[first] for day in days.values()): days for days in orders.values()}
+    read = [
+        np.array([_DAY_NS * (days[date_text] - days[first]) + time for _, date_text, time in stamps])
+        for days in offsets.values()
+    ]
+    if len(read) > 1:  # at midnight one order goes on, and the other one leaves out days
+        read = [each for each in read if np.abs(np.diff(each)).max() < _PAUSE_NS]
+    if len(read) != 1:
         text = f"{column[0]!r} may begin with the day or the month, and the date changes within the file; write dates"
         raise StampError(0, f"{text} as 2026-11-22, or leave time out and give sample_time_s")
-    days = next(iter(orders.values()))
-    times = np.array([_DAY_NS * (days[date_text] - days[first]) + time for _, date_text, time in stamps])
+    times = read[0]
     if not first:  # without a date, a time of day that starts anew is that of the next day
         times += _DAY_NS * np.cumsum(np.diff(times, prepend=times[0]) < -_DAY_NS // 2)
     return times * 1e-9

@@ -598,8 +598,7 @@ def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
 
 def without_mark(text: str) -> str:
     """Return the text of a line without its comment mark."""
-    text = text.lstrip()
-    return text.lstrip("#%/").lstrip() if is_comment(text) else text
+    return text.lstrip().lstrip("#%/").lstrip() if is_comment(text) else text  # a tab at the begin is an empty cell
 
 
 def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int, tuple[int, ...]]:

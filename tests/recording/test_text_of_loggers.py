@@ -176,6 +176,24 @@ def test_a_time_of_day_passes_midnight(tmp_path):
     assert (made.n_samples, made.sample_time) == (60, pytest.approx(1e-3))
 
 
+def test_days_and_months_are_told_apart_by_midnight(tmp_path):
+    """The 3rd of December goes on as the 4th; March 12 does not as April 12."""
+    path = tmp_path / "a.csv"
+    rows = (
+        f"0{3 + k // 30}/12/2026 {'23:59:59' if k < 30 else '00:00:00'},{(970 + k) % 1000:03d};{k}\n" for k in range(60)
+    )
+    path.write_text("a;b\n" + "".join(rows))
+    made = import_recording(path, {"time": "a", "signals": {"s": {"columns": ["b"], "unit": "V"}}})
+    assert (made.n_samples, made.sample_time) == (60, pytest.approx(1e-3))
+
+
+def test_units_below_names_may_begin_with_an_empty_cell(tmp_path):
+    """A stamp has no unit."""
+    path = tmp_path / "a.txt"
+    path.write_text("t\ta\tb\n\tmm\tV\n" + "".join(f"10:00:00.{k:03d}\t{k}\t1\n" for k in range(40)))
+    assert [channel.unit for channel in list_channels(path)] == ["s", "mm", "V"]
+
+
 def test_lines_are_named_by_the_listing(tmp_path, capsys):
     path = tmp_path / "messung.txt"
     path.write_text(SPEEDGOAT + numbers(",") + "End of file\n")
