@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import traceback
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from enum import StrEnum
 from pathlib import Path
 from random import Random
@@ -142,11 +142,10 @@ class MemoryOfProcess:
 
 
 def _family() -> list[int]:
-    process = os.getpid()
-    try:
-        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    except OSError:
-        children = []
+    process, children = os.getpid(), list[str]()
+    for task in Path(f"/proc/{process}/task").glob("*/children"):  # a thread of its own starts the reader process
+        with suppress(OSError):
+            children += task.read_text().split()
     return [process, *map(int, children)]
 
 
