@@ -543,15 +543,16 @@ def _with_header(
     while start > lowest and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
     direct = [i for i in range(start, first) if columns.is_names(content[i].text)]
-    named = _last_with_time(columns, content, _without_values_below(columns, content, direct))
+    named = _near_rows(columns, content, direct)
     named += [i for i in range(min(start, _BLOCK_LINES)) if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
     names = [line for line in above[::-1] if columns.is_names(without_mark(line.text))]
     described = names[:1] if len(names) > 1 and columns.is_units(without_mark(names[0].text)) else []
     header = next(iter(names[len(described) :]), None)
-    sure = [i for i in named if not (_repeats(columns, content[i]) and columns.is_units(content[i].text))]
+    cells = {i: columns.cells(content[i].text) or [] for i in named}
+    sure = [i for i in named if len(set(cells[i])) == len(cells[i]) or not columns.is_units(content[i].text)]
     named = sure if sure or header else named
-    at = next((i for i in named if len(set(columns.cells(content[i].text) or ())) > 1 or columns.count == 1), None)
+    at = next((i for i in named if len(set(cells[i])) > 1 or columns.count == 1), None)
     if at is None and named:
         at = named[0]
     if at is not None:
@@ -567,33 +568,23 @@ def _with_header(
     return layout(header, content[units] if header else None, rows_from)
 
 
-def _without_values_below(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
+def _near_rows(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
     """Return the candidate lines of names that come after the last line with values.
 
-    A block of an oscilloscope has lines such as ``Vertical Units,V,A`` above ``Vertical Offset,0,0``.
+    A block of an oscilloscope has lines such as ``Vertical Units,V,A`` above ``Vertical Offset,0,0``. If the last line
+    of names alone contains a time name, it is the only candidate.
     """
-    names = [i for i in named if not columns.is_units(content[i].text)]
-    if len(names) < 2:
-        return named
-    with_values = [
-        i
-        for i in range(names[0], names[-1])
-        if any(_is_value(cell, columns.decimal) for cell in columns.cells(content[i].text) or ())
-    ]
-    last = max(with_values, default=-1)
-    return [i for i in named if i > last]
 
+    def cells(i: int) -> list[str]:
+        return columns.cells(content[i].text) or []
 
-def _last_with_time(columns: _Candidate, content: Sequence[NumberedLine], named: list[int]) -> list[int]:
-    """Return only the last line of names if it alone contains a time name; else all candidates."""
     names = [i for i in named if not columns.is_units(content[i].text)]
-    with_time = [i for i in names if any(TIME_WORDS & set(words_of(c)) for c in columns.cells(content[i].text) or ())]
+    if len(names) > 1:
+        values = (i for i in range(names[0], names[-1]) if any(_is_value(cell, columns.decimal) for cell in cells(i)))
+        last = max(values, default=-1)
+        named, names = ([i for i in each if i > last] for each in (named, names))
+    with_time = [i for i in names if any(TIME_WORDS & set(words_of(cell)) for cell in cells(i))]
     return with_time if with_time == names[-1:] else named
-
-
-def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
-    cells = columns.cells(line.text) or []
-    return len(set(cells)) < len(cells)
 
 
 def without_mark(text: str) -> str:
