@@ -450,6 +450,16 @@ def _timed(series: MatObject) -> MatObject:
     return MatObject(series.kind, {**{name: series[name] for name in series}, "Time": time})
 
 
+def _in_series(stored: StoredArray, series: Any) -> StoredArray:
+    """Return data or times of a `timeseries` with their start and step, where the times are even and in seconds."""
+    if not isinstance(series, MatObject) or series.kind != "timeseries" or "Time" not in series:
+        return stored
+    info, times = matlab_value(series["TimeInfo"]) if "TimeInfo" in series else {}, np.ravel(series["Time"])
+    unit = info["Units"] if isinstance(info, Mapping) and "Units" in info else "seconds"
+    step = even_step(times) if times.dtype.kind in "fiu" and np.all(np.asarray(unit) == "seconds") else None
+    return stored if step is None else stored._replace(sample_time=step, start_ns=round(1e9 * float(times[0])))
+
+
 def _matlab_table(frame: Any) -> tuple[str, dict[str, Any]]:
     """Return class and variables of a MATLAB table; times of a timetable are in seconds."""
     fields = {str(name): frame[name].to_numpy()[:, None] for name in frame.columns}
@@ -484,9 +494,11 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
             channels = _channels_of_iddata(value, f"{path}: {root}")
             if (rest := name.partition(".")[2]) in channels:
                 return channels[rest]
+        series = None
         for depth, field in enumerate(fields, start=1):
-            value = _field(value, field, f"{path}: column {name!r}: {'.'.join([root, *fields][:depth])}")
-        return _stored_mat(name, value)
+            where, series = f"{path}: column {name!r}: {'.'.join([root, *fields][:depth])}", value
+            value = _field(value, field, where)
+        return _in_series(_stored_mat(name, value), series)
 
     def leaves(name: str, value: Any, inside: Any = None, depth: int = 0) -> Iterator[tuple[str, StoredReader]]:
         try:

@@ -75,9 +75,13 @@ def test_timeseries_as_matlab_stores_it(tmp_path, version):
     stored = {"Data_": U, "Data": np.zeros((0, 0)), "Time": np.zeros((0, 0))}
     a, b = opaque("timeseries", TimeInfo_=info, **stored), opaque("timeseries", TimeInfo=metadata, **stored)
     path = file(tmp_path, version, a=a, b=b)
-    rec = read(path, "a.Data[1]", "a.Time", "b.Time", "b.TimeInfo.Time", time="a.Time")
-    np.testing.assert_allclose(rec.signals["s"], np.column_stack([U[:, 1], 0.5 + T, 2 * T, 2 * T]), atol=1e-15)
-    assert rec.sample_time == H
+    for columns, time, values in (
+        (("a.Data[1]", "a.Time"), "a.Time", [U[:, 1], 0.5 + T]),
+        (("b.Time", "b.TimeInfo.Time"), "b.Time", [2 * T, 2 * T]),
+    ):
+        rec = read(path, *columns, time=time)
+        np.testing.assert_allclose(rec.signals["s"], np.column_stack(values), atol=1e-15)
+        assert rec.sample_time == pytest.approx(H if time == "a.Time" else 2 * H)
 
 
 @VERSIONS
@@ -236,8 +240,12 @@ def test_objects_with_their_own_starts(tmp_path):
     def recorded(start):
         return opaque("iddata", InputData=U, OutputData=Y, Ts=np.array([[H]]), Tstart=np.array([[start]]))
 
-    mapping = {"signals": {"s": {"columns": ["a.y1", "b.y1"]}}}
-    rec = import_recording(file(tmp_path, "v7", a=recorded(0.0), b=recorded(15 * H)), mapping)
-    np.testing.assert_array_equal(rec.signals["s"], np.column_stack([Y[15:], Y[:-15]]))
-    with pytest.raises(GbidError, match=r"0\.5 of a sample off"):
-        import_recording(file(tmp_path, "v7", a=recorded(0.0), b=recorded(2.5 * H)), mapping)
+    def series(start):
+        return opaque("timeseries", Data=Y, Time=T + start)
+
+    for made, columns in ((recorded, ["a.y1", "b.y1"]), (series, ["a.Data", "b.Data"])):
+        mapping = {"signals": {"s": {"columns": columns}}}
+        rec = import_recording(file(tmp_path, "v7", a=made(0.0), b=made(15 * H)), mapping)
+        np.testing.assert_array_equal(rec.signals["s"], np.column_stack([Y[15:], Y[:-15]]))
+        with pytest.raises(GbidError, match=r"0\.5 of a sample off"):
+            import_recording(file(tmp_path, "v7", a=made(0.0), b=made(2.5 * H)), mapping)
