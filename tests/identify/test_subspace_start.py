@@ -67,6 +67,22 @@ def test_a_match_finds_its_way_from_far_off(factor):
     np.testing.assert_allclose(computed.theta, at, rtol=1e-4)
 
 
+def test_a_match_within_the_errors_of_the_response_ends_the_search():
+    structure, truth = chain(2), {"k0": 4e3, "k1": 4.9e3, "d0": 1.0, "d1": 1.2, "b": 500.0}
+    predictor = build_predictor(structure, {}, 5e-3, "zoh", "simulation")
+    at = np.array([truth[q.name] for q in predictor.free])
+    model, f, random = evaluate(structure, truth), np.geomspace(1, 40, 90), np.random.default_rng(4)
+    exact = model.frequency_response(f)
+    response = exact * (1 + 0.01 * (random.normal(size=exact.shape) + 1j * random.normal(size=exact.shape)))
+    starts = iter([1.2 * at, at])
+    bounds = np.zeros(len(at)), np.full(len(at), np.inf)
+    best = match(
+        predictor, Target(2j * np.pi * f, response, 100 / np.abs(exact), model.poles(), False), starts, *bounds
+    )
+    np.testing.assert_allclose(best.theta, at, rtol=0.02)
+    assert len(list(starts)) == 1  # not asked for
+
+
 def test_free_decays_are_matched_with_weights_of_each_frequency_and_output():
     """Exact decays of unknown initial states: the misfit is zero at the truth alone, whatever the weights."""
     structure = chain(2)

@@ -156,6 +156,14 @@ def test_stiffness_and_force_per_current_are_found_with_their_deviations(n, seed
     assert np.sqrt(np.mean(z**2)) < 1.7
 
 
+def test_start_values_from_the_data_of_an_unstable_plant_are_near_the_truth():
+    """The equation error of the first stage leads away from a start that is near: its polynomial has large poles."""
+    result = gbid.fit(loop(4), recorded(4, 1), focus="simulation", start="data", max_iterations=1)
+    off = [abs(result.start[name] / value - 1) for name, value in true(4).items() if name.startswith("k_")]
+    assert max(off) < 0.05
+    assert any("explains 98" in note for note in result.notes)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("n", AXES)
 def test_intervals_cover_the_truth(n):

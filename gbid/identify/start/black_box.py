@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -456,7 +457,9 @@ def _errors(model: BlackBox, record: Record) -> FloatArray:
 # ---- Match of a structure to the frequency response of a black-box model.
 
 _SAME, _AGREEING = 1e-3, 3  # largest relative difference of equal misfits, and the number of them that is enough
-_POOR = 0.3  # smallest misfit that is not believed, however often it is found
+_POOR = 0.3  # smallest misfit that is not believed, however often it is found, and that a near start does not have
+_CLEAR, _CERTAIN = 0.05, 3.0  # misfit, and this in standard deviations of the response, below which one match is enough
+_FEW, _BEHIND = 30, 2.0  # steps after which a match is given up when its misfit is so many times the smallest
 _CAPPED = 1e12  # largest size of a residual, so that squares of wild starts stay finite
 
 
@@ -513,7 +516,8 @@ def match(
     target : Target
         The response.
     starts : iterable of (n_free,) array
-        Start values of the match. No more are taken when several have led to the smallest misfit.
+        Start values of the match. No more are taken when one has led to a small misfit within the errors of the
+        response, or several to the same smallest misfit.
     lower, upper : (n_free,) array
         Bounds.
 
@@ -527,17 +531,25 @@ def match(
     The first stage minimises ``d(s) / q(s) (G_0(s) - G(s))``: the difference of the responses times the characteristic
     polynomial d of the structure, over that of the black-box model q. In the coefficients of the transfer function this
     is a linear least-squares problem (Levy; Sanathanan and Koerner, 1963), so that it leads to the resonances from far
-    off, where the response has a local minimum at each of them. The second stage minimises the difference itself.
+    off, where the response has a local minimum at each of them. The second stage minimises the difference itself, from
+    the result of the first, or from a start that is near itself (the polynomial weighs little at low frequencies).
     For free decays ``B`` is replaced by the initial states, which enter linearly and are eliminated.
     """
-    matches: list[Match] = []
+    matches, by_misfit = list[Match](), attrgetter("misfit")
+    one_std = np.sqrt(np.count_nonzero(target.weight)) / np.linalg.norm(target.response * target.weight)  # a misfit
     for start in starts:
         rough = _solve(predictor, target, start, lower, upper, True, 60)
-        matches.append(_solve(predictor, target, rough.theta, lower, upper, False, 100))
+        at_start, at_rough = (_solve(predictor, target, x, lower, upper, False, 1) for x in (start, rough.theta))
+        begin = at_start if at_start.misfit < min(at_rough.misfit, _POOR) else rough
+        near = _solve(predictor, target, begin.theta, lower, upper, False, _FEW)
+        if near.misfit <= _BEHIND * min((each.misfit for each in matches), default=np.inf):
+            near = _solve(predictor, target, near.theta, lower, upper, False, 100)
+        matches.append(near)
         least = min(each.misfit for each in matches)
-        if least < _POOR and sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in matches) >= _AGREEING:
+        agreeing = sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in matches)
+        if least < min(_CLEAR, _CERTAIN * one_std) or (least < _POOR and agreeing >= _AGREEING):
             break
-    return min(matches, key=lambda each: each.misfit)
+    return min(matches, key=by_misfit)
 
 
 def _solve(
@@ -554,11 +566,12 @@ def _solve(
     @lru_cache(maxsize=1)  # the solver asks for value and slopes at one point in turn
     def at(point: bytes) -> tuple[FloatArray, FloatArray]:
         value, slope = _residual(predictor, target, np.frombuffer(point).copy(), equation)
-        flat = np.concatenate([value.real.ravel(), value.imag.ravel()]) / reference
-        jac = np.concatenate([slope.real.reshape(len(slope), -1), slope.imag.reshape(len(slope), -1)], 1).T / reference
-        if not (np.isfinite(flat).all() and np.isfinite(jac).all()):
-            return np.full(len(flat), _CAPPED), np.zeros(jac.shape)
-        return flat, jac
+        columns = np.concatenate([slope.reshape(value.size, -1), value.reshape(-1, 1)], axis=1) / reference
+        rows = np.concatenate([columns.real, columns.imag])
+        if not np.isfinite(rows).all():
+            rows = np.full(rows.shape, [*[0.0] * len(start), _CAPPED])
+        triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))  # norms and products of columns in few rows
+        return triangle[:, -1], triangle[:, :-1]
 
     inside = np.clip(start, lower, upper)
     width = np.where(np.isfinite(upper - lower), upper - lower, np.maximum(np.abs(inside), 1.0))
@@ -582,38 +595,49 @@ def _solve(
 def _residual(
     predictor: Predictor, target: Target, theta: FloatArray, equation: bool
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return weighted differences (n, n_y, n_columns), and derivatives (n_free, n, n_y, n_columns)."""
+    """Return weighted differences (n, n_y, n_columns), and derivatives (n, n_y, n_columns, n_free)."""
     A, B, C, D, _, B_delayed, delay = predictor.matrices(theta)
     s = target.s
-    n = len(A.value)
-    inverse = np.asarray(np.linalg.inv(s[:, None, None] * np.eye(n) - A.value), complex)
+    inverse = np.asarray(np.linalg.inv(s[:, None, None] * np.eye(len(A.value)) - A.value), complex)
     left: ComplexArray = np.asarray(C.value @ inverse, complex)
     if target.decays:
         size = np.abs(_characteristic_ratio(A.value, target)) if equation else np.ones(len(s))
         value, d_value = _decay(target, target.weight * size[:, None, None], inverse, left, A.slope, C.slope)
     else:
+        turn = np.exp(-s[:, None] * delay.value[:, 0])
         drive = np.broadcast_to(B.value, (len(s), *B.shape)).astype(complex)
-        d_drive = np.repeat(B.slope[:, None], len(s), 1).astype(complex)
-        for k, i in enumerate(predictor.delayed):
-            turn = np.exp(-s * delay.value[k, 0])
-            drive[:, :, i] += B_delayed.value[:, i] * turn[:, None]
-            d_drive[..., i] += B_delayed.slope[:, None, :, i] * turn[:, None]
-            d_drive[..., i] -= (s * turn)[:, None] * B_delayed.value[:, i] * delay.slope[:, k, 0, None, None]
+        drive[:, :, predictor.delayed] += B_delayed.value[:, predictor.delayed] * turn[:, None]
         states = inverse @ drive
         value = left @ drive + D.value
-        d_value = (
-            np.einsum("pyn,fnu->pfyu", C.slope, states, optimize=True)
-            + np.einsum("fyn,pfnu->pfyu", left, np.einsum("pnm,fmu->pfnu", A.slope, states) + d_drive, optimize=True)
-            + D.slope[:, None]
-        )
+        d_value = _of_states(left, states, A.slope, C.slope) + _times(left, B.slope) + np.moveaxis(D.slope, 0, -1)
+        for k, i in enumerate(predictor.delayed):
+            d_value[:, :, i] += _times(left, B_delayed.slope[:, :, i, None])[:, :, 0] * turn[:, k, None, None]
+            late = left @ B_delayed.value[:, i] * (s * turn[:, k])[:, None]
+            d_value[:, :, i] -= late[..., None] * delay.slope[:, k, 0]
     difference = (target.response - value) * target.weight
-    d_difference = -d_value * target.weight
+    d_difference = -d_value * target.weight[..., None]
     if not equation:
         return difference, d_difference
-    ratio = _characteristic_ratio(A.value, target)
-    d_log = -np.einsum("fnm,pmn->pf", inverse, A.slope, optimize=True)
-    change = d_difference + d_log[:, :, None, None] * difference
-    return ratio[:, None, None] * difference, ratio[:, None, None] * change
+    ratio = _characteristic_ratio(A.value, target)[:, None, None]
+    to, of = np.nonzero(A.slope.any(axis=0))
+    d_log = -inverse[:, of, to] @ A.slope[:, to, of].T
+    change = d_difference + d_log[:, None, None] * difference[..., None]
+    return ratio * difference, ratio[..., None] * change
+
+
+def _times(left: ComplexArray, slope: FloatArray) -> ComplexArray:
+    """Return the products of (n_f, n_y, n) with slopes (n_p, n, n_u), as (n_f, n_y, n_u, n_p)."""
+    n_p, n, n_u = slope.shape
+    product = left.reshape(-1, n) @ slope.transpose(1, 2, 0).reshape(n, n_u * n_p)
+    return np.asarray(product.reshape(*left.shape[:2], n_u, n_p), complex)
+
+
+def _of_states(left: ComplexArray, states: ComplexArray, dA: FloatArray, dC: FloatArray) -> ComplexArray:
+    """Return derivatives of ``C (s I - A)^-1 X`` by A and C, (n_f, n_y, n_columns, n_p); states (n_f, n, n_columns)."""
+    to, of = np.nonzero(dA.any(axis=0))  # entries of A that depend on parameters
+    by_entry = left[:, :, None, to] * states.swapaxes(1, 2)[:, None, :, of]
+    by_output = _times(states.swapaxes(1, 2), dC.swapaxes(1, 2)).swapaxes(1, 2)
+    return by_entry @ dA[:, to, of].T + by_output
 
 
 def _characteristic_ratio(A: FloatArray, target: Target) -> ComplexArray:
@@ -632,23 +656,19 @@ def _decay(
     """Return the response ``C (s I - A)^-1 X`` with the best initial states X (n, n_columns), and its derivatives."""
     n_f, n_y, n = left.shape
     value = np.zeros(target.response.shape, complex)
-    d_value = np.zeros((len(dA), *target.response.shape), complex)
+    d_value = np.zeros((*target.response.shape, len(dA)), complex)
     for j in range(target.response.shape[2]):
-        weight = weights[:, :, j]
-        rows = (left * weight[:, :, None]).reshape(n_f * n_y, n)
+        weight = weights[:, :, j, None]
+        rows = (left * weight).reshape(n_f * n_y, n)
         base = np.vstack([rows.real, rows.imag])
-        goal = (target.response[:, :, j] * weight).ravel()
+        goal = target.response[:, :, j].ravel() * weight.ravel()
         x = np.linalg.lstsq(base, np.concatenate([goal.real, goal.imag]), rcond=1e-12)[0]
-        states = inverse @ x
-        value[:, :, j] = np.einsum("fyn,n->fy", left, x)
-        d_value[..., j] = np.einsum("pyn,fn->pfy", dC, states) + np.einsum(
-            "fyn,pnm,fm->pfy", left, dA, states, optimize=True
-        )
+        value[:, :, j] = left @ x
+        d_value[:, :, j] = _of_states(left, (inverse @ x)[:, :, None], dA, dC)[:, :, 0]
         # what the initial state follows of the change (Kaufman's form of variable projection)
-        flat = (d_value[..., j] * weight).reshape(len(dA), -1)
-        moved = np.concatenate([flat.real, flat.imag], 1)
+        flat = (d_value[:, :, j] * weight).reshape(n_f * n_y, -1)
+        moved = np.concatenate([flat.real, flat.imag])
         Q = np.linalg.qr(base)[0]
-        rest = moved - (moved @ Q) @ Q.T
-        half = rest.shape[1] // 2
-        d_value[..., j] = (rest[:, :half] + 1j * rest[:, half:]).reshape(len(dA), n_f, n_y) / weight
+        rest = moved - Q @ (Q.T @ moved)
+        d_value[:, :, j] = (rest[: n_f * n_y] + 1j * rest[n_f * n_y :]).reshape(n_f, n_y, -1) / weight
     return value, d_value
