@@ -28,6 +28,7 @@ import gbid
 from gbid.core import compiled as compiling
 from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.kernel import linear
 from gbid.identify.kernel.blocks import Segment, cut
 from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern, PortableLinearKernel, filled
 from gbid.identify.kernel.sums import Lagrangian, Moved
@@ -125,6 +126,16 @@ SHAPES = {
 SAME_PASSES = [("every", shape) for shape in SHAPES.values()]
 SAME_PASSES += [("one output", SHAPES[name]) for name in ("one window", "ragged, padded", "left out")]
 SAME_PASSES += [(case, ((300, 131), 50)) for case in CASES]
+
+
+@NEEDS_COMPILER
+def test_numpy_takes_the_place_of_a_second_pass_that_is_not_compiled(fresh, caplog):
+    data = simulated(MODE, MODE_AT, levels(300), noise=0.1)
+    expected = fit(MODE, data)
+    fresh.setattr(linear, "second_source", lambda _: "no C")
+    result = fit(MODE, data)
+    assert result.std == pytest.approx(expected.std, rel=1e-6)
+    assert caplog.text.count("failed on the kernel") == caplog.text.count("from the slower portable pass") > 0
 
 
 @NEEDS_COMPILER

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
-from gbid.core.compiled import c_source, load_library, run_compiled
+from gbid.core.compiled import CompilerMissingError, c_source, load_library, run_compiled
 from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
@@ -260,14 +261,19 @@ class PortableLinearKernel(LinearKernel, PortablePasses):
 
     def second_pass(self, v: PredictorValues, blocks: Blocks, back: Backwards) -> tuple[FloatArray, FloatArray]:
         """Return the products of the adjoint and the sensitivities of the states; see `LinearKernel`."""
-        n_p, n, _ = v.dF.shape
-        factors, driving = flat(back.factors), flat(_driving(v, blocks, back.states))
-        onto = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1).T
-        products, s = np.zeros((factors.shape[2], n_p * n)), np.zeros((len(blocks.size), n_p * n))
-        for now, at in zip(factors, driving, strict=True):
-            products += now.T @ s
-            s = (s.reshape(-1, n) @ v.F.T).reshape(s.shape) + at @ onto
-        return products.reshape(-1, n_p, n), s.reshape(-1, n_p, n).transpose(0, 2, 1)
+        return second_sums(v, blocks, back)
+
+
+def second_sums(v: PredictorValues, blocks: Blocks, back: Backwards) -> tuple[FloatArray, FloatArray]:
+    """Return the result of `LinearKernel.second_pass`, sample by sample in numpy."""
+    n_p, n, _ = v.dF.shape
+    factors, driving = flat(back.factors), flat(_driving(v, blocks, back.states))
+    onto = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1).T
+    products, s = np.zeros((factors.shape[2], n_p * n)), np.zeros((len(blocks.size), n_p * n))
+    for now, at in zip(factors, driving, strict=True):
+        products += now.T @ s
+        s = (s.reshape(-1, n) @ v.F.T).reshape(s.shape) + at @ onto
+    return products.reshape(-1, n_p, n), s.reshape(-1, n_p, n).transpose(0, 2, 1)
 
 
 def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArray:
@@ -578,10 +584,20 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         return Backwards(states, first.transpose(1, 0, 2).reshape(n, -1), sums, factors)
 
     def second_pass(self, v: PredictorValues, blocks: Blocks, back: Backwards) -> tuple[FloatArray, FloatArray]:
-        """Return the products of the adjoint and the sensitivities of the states; see `LinearKernel`."""
+        """Return the products of the adjoint and the sensitivities of the states; see `LinearKernel`.
+
+        By numpy where the C compiler fails on this pass, whose source is longest.
+        """
         z = self._regressors(v, blocks)
         if self._second is None:
-            self._second = load_library(second_source(self._pattern)).gbid_second
+            try:
+                self._second = load_library(second_source(self._pattern)).gbid_second
+            except CompilerMissingError as error:
+                text = "%s: second derivatives come from the slower portable pass"
+                logging.getLogger("gbid.core.compiled").warning(text, error)
+                self._second = False
+        if self._second is False:
+            return second_sums(v, blocks, back)
         n_groups, length, _, lanes = z.shape
         n_p, n, _ = v.dF.shape
         products, end_theta = np.empty((back.factors.shape[2], n_p, n)), np.empty((n_groups, n_p, n, lanes))
