@@ -29,6 +29,7 @@ from .control import (
     validate_impact as validate_impact,
 )
 from .control.assessment import assess as assess
+from .control.proof import prove as prove
 from .control.tuning.tune import tune as tune
 from .core.hdf5 import save as save
 from .excite import (
@@ -57,7 +58,6 @@ from .lpv import (
 )
 from .prefilter.runout_identification import (
     align_index as align_index,
-    compare_runout as compare_runout,
     identify_runout as identify_runout,
 )
 from .prefilter.filtering import OnlinePrefilter as OnlinePrefilter, prefilter as prefilter

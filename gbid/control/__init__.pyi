@@ -57,6 +57,12 @@ from .loop.sensitivity import (
     slow_poles as slow_poles,
     static_amplification as static_amplification,
 )
+from .proof import (
+    Proof as Proof,
+    ProofStatus as ProofStatus,
+    WorstPlant as WorstPlant,
+    prove as prove,
+)
 from .tuning.goals import (
     DisturbanceSpectrum as DisturbanceSpectrum,
     FastestPole as FastestPole,

@@ -44,7 +44,7 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
     """
     if order < 1:
         raise UsageError(f"Pade order {order}; it must be at least 1")
-    A, b, c, d = _unit_ladder(order)
+    A, b, c, d = unit_ladder(order)
     nothing = ca.SX(order, 1)
     return Matrices(
         ca.SX(ca.sparsify(ca.DM(A))) / tau,
@@ -58,7 +58,7 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
     )
 
 
-def _unit_ladder(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def unit_ladder(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return the state-space matrices of the Padé approximation of a delay of one.
 
     The ladder has a "current" i and a "voltage" v = tanh(s/2) i. Its input is w = i + v, its output is i - v. The
