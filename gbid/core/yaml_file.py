@@ -156,27 +156,38 @@ def text_with(text: str, changes: Sequence[tuple[Sequence[str | int], Any]]) -> 
         A YAML text that `read_yaml` accepts.
     changes : sequence of (location, value)
         Keys on the way to each value, and the value; None removes the key. Missing sections are created.
+
+    Raises
+    ------
+    UsageError
+        When a location leads through a value.
     """
     yaml = YAML(typ="rt")
     yaml.width, yaml.preserve_quotes = 4096, True
     yaml.indent(mapping=2, sequence=4, offset=2)
     tree, written = yaml.load(text), StringIO()
     for location, value in changes:
-        node = tree
-        for key in location[:-1]:
-            if isinstance(node, dict) and node.get(key) is None:
-                node[key] = CommentedMap()
-                node[key].fa.set_flow_style()
-            node = node[key]
-        key = location[-1]
-        if value is None:
-            node.pop(key, None)
-        elif key in node or not node:
-            node[key] = _styled(value)
-        else:  # before the last key, which holds the empty lines and comments after the section
-            node.insert(len(node) - 1, key, _styled(value))
+        try:
+            _set(tree, location, value)
+        except (KeyError, IndexError, TypeError, AttributeError):
+            raise UsageError(f"{'.'.join(map(str, location))}: leads through a value, not a section") from None
     yaml.dump(tree, written)
     return written.getvalue()
+
+
+def _set(node: Any, location: Sequence[str | int], value: Any) -> None:
+    for key in location[:-1]:
+        if isinstance(node, dict) and node.get(key) is None:
+            node[key] = CommentedMap()
+            node[key].fa.set_flow_style()
+        node = node[key]
+    key = location[-1]
+    if value is None:
+        node.pop(key, None)
+    elif key in node or not node:
+        node[key] = _styled(value)
+    else:  # before the last key, which holds the empty lines and comments after the section
+        node.insert(len(node) - 1, key, _styled(value))
 
 
 def _change(data: Any, keys: str, value: Any) -> None:

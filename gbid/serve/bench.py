@@ -157,10 +157,11 @@ class Bench:
         """Return the mappings of a YAML text by location."""
         section = self._data(text).get("import")
         section = section if isinstance(section, dict) else {}
-        listed: dict[tuple[str | int, ...], Any] = {
-            ("import", "recordings", i): each for i, each in enumerate(section.get("recordings") or ())
+        listed = section.get("recordings")
+        found: dict[tuple[str | int, ...], Any] = {
+            ("import", "recordings", i): each for i, each in enumerate(listed if isinstance(listed, list) else ())
         }
-        return {**listed, **{("import", key): section[key] for key in ("folder", "table") if section.get(key)}}
+        return {**found, **{("import", key): section[key] for key in ("folder", "table") if section.get(key)}}
 
     def _section(self, text: str, file: str) -> dict[str, Any] | None:
         """Return the mapping of a file in a YAML text, with its location; None without one."""
@@ -181,6 +182,8 @@ class Bench:
         """Return the drafted YAML with its notes, or the open questions with their reasons, as `gbid init` does."""
         options = DraftOptions(self.folder, skip_broken=skip_broken, ask=True)
         for option, text in answers:
+            if option not in (*QUESTIONS, "pattern", "controller"):
+                raise UsageError(f"no question {option!r}; choose from {', '.join(QUESTIONS)}")
             options = options.answered(option, text)
         try:
             draft = draft_experiment(options, self.path.parent)
@@ -194,6 +197,7 @@ class Bench:
 
         Mappings of other files that have had the same value there get the new one, too.
         """
+        read_yaml(self.path, text)  # refuses what is no YAML
         places: list[tuple[str | int, ...]] = [()]
         if file:
             sections, own = self._sections(text), self._section(text, file)

@@ -138,6 +138,7 @@ def test_open_questions_are_asked_and_answers_go_on(served, folder):
     assert "states no unit of" in asked["open"]["unit"]
     assert 'unit: "um"' in post(server, "draft", answers=[["unit", "um"]])["text"]
     assert "expected a number" in refused(server, "draft", answers=[["pressure_bar", "much"]])
+    assert "no question 'folder'" in refused(server, "draft", answers=[["folder", "/"]])
 
 
 def test_a_choice_changes_its_value_in_all_mappings_alike_and_nothing_else(served):
@@ -155,6 +156,9 @@ def test_a_choice_changes_its_value_in_all_mappings_alike_and_nothing_else(serve
     assert loaded(machine)["machine"] == {"clearance_m": 25e-6}
     said = post(server, "check", text=machine)
     assert (said["problems"], said["recordings"]) == ([], 4)
+    assert "leads through a value" in refused(server, "change", text=text, key=["name", "x"], value=1)
+    assert "not valid YAML" in refused(server, "change", text="a: [", key=["name"], value=1)
+    assert "no mapping for" in refused(server, "change", text="import: 3\n", file=EXCITED, key=["from_s"], value=1)
     wrong = post(server, "check", text=text.replace("format: 1", "format: 1\nfits: 3"))
     assert "experiment.yaml:" in wrong["problems"][0]
 
