@@ -106,7 +106,8 @@ def find_compiler() -> Compiler:
     """
     named = os.environ.get("CC", "")
     try:
-        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"], *_packaged()]
+        zig = [sys.executable, "-P", "-m", "ziglang", "cc"] if find_spec("ziglang") else []
+        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"], zig]
     except ValueError as error:  # an open quotation mark
         raise CompilerMissingError(f"no C compiler found (CC = {named!r}: {error})") from None
     for command in candidates:
@@ -115,10 +116,6 @@ def find_compiler() -> Compiler:
             if ended.returncode == 0:
                 return Compiler(tuple(command), ended.stdout)
     raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang, ziglang'})")
-
-
-def _packaged() -> list[list[str]]:
-    return [[sys.executable, "-P", "-m", "ziglang", "cc"]] if find_spec("ziglang") else []
 
 
 def compile_source(compiler: Compiler, flags: Sequence[str], source: str, library: Path) -> None:

@@ -238,37 +238,6 @@ class LinearSimulator(Simulator):
         return self._free[key]
 
 
-def estimate_initial_state(
-    model: LinearModel,
-    inputs: FloatArray,
-    outputs: FloatArray,
-    sample_time: float,
-    intersample: str | Sequence[str] | None = None,
-) -> FloatArray:
-    """Return the initial state whose simulation is closest to the measured outputs, by least squares.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Model in continuous time.
-    inputs : (n_samples, n_inputs) array
-        Input signals.
-    outputs : (n_samples, n_outputs) array
-        Measured outputs.
-    sample_time : float
-        Time between samples [s].
-    intersample : {"zoh", "foh"} or sequence of these, optional
-        Inter-sample behaviour of the inputs; by default that of the model.
-
-    Returns
-    -------
-    (n_states,) array
-        Least-squares solution of smallest norm; nan when the simulation overflows.
-    """
-    fitted = LinearSimulator(model, sample_time, intersample)
-    return fitted.explain(np.transpose(inputs), np.transpose(outputs)).initial_state
-
-
 def _modes(
     model: LinearModel, sample_time: float | FloatArray, intersample: str | Sequence[str] | None
 ) -> Modes | None:

@@ -11,7 +11,7 @@ from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import evaluate
 from gbid.validate import cross_validate, fit_percent
-from gbid.validate.simulate import estimate_initial_state
+from gbid.validate.simulate import LinearSimulator
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,8 @@ def test_the_initial_state_of_an_exact_recording_is_found(hold):
     every = evaluate(EVERY, EVERY_AT)
     u = smooth(100)
     y = every.simulate(u, H, initial_state=x0, intersample=hold)
-    np.testing.assert_allclose(estimate_initial_state(every, u, y, H, hold), x0, rtol=1e-9)
+    state = LinearSimulator(every, H, hold).explain(u.T, y.T).initial_state
+    np.testing.assert_allclose(state, x0, rtol=1e-9)
 
 
 def test_a_state_that_no_output_sees_is_left_at_zero():
@@ -49,7 +50,8 @@ def test_a_state_that_no_output_sees_is_left_at_zero():
     blind = replace(every, A=np.diag([-1.0, -2.0]), C=np.array([[1.0, 0.0], [2.0, 0.0]]), K=None)
     u = smooth(50)
     y = blind.simulate(u, H, initial_state=[2.0, 7.0])
-    np.testing.assert_allclose(estimate_initial_state(blind, u, y, H), [2.0, 0.0], atol=1e-9)
+    state = LinearSimulator(blind, H, None).explain(u.T, y.T).initial_state
+    np.testing.assert_allclose(state, [2.0, 0.0], atol=1e-9)
 
 
 # ---- cross-validation ----

@@ -16,7 +16,7 @@ from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 from gbid.validate import check_residuals, cross_validate
-from gbid.validate.simulate import estimate_initial_state
+from gbid.validate.simulate import LinearSimulator
 
 OFFSET = Disturbances(("y",), (Trend(1),))
 
@@ -229,7 +229,7 @@ def test_band_and_probability_are_those_of_bartletts_covariance(data, result):
     slow = data.with_signals(u=levels(4000, hold=60, seed=2))
     tests = check_residuals(poor, slow, lags=lags)
     u, y = slow.signal("u"), slow.signal("y")
-    state = estimate_initial_state(poor.model, u, y, H, poor.options.intersample)
+    state = LinearSimulator(poor.model, H, poor.options.intersample).explain(u.T, y.T).initial_state
     e = (y - poor.model.simulate(u, H, initial_state=state, intersample=poor.options.intersample))[:, 0]
     e, v = e - e.mean(), u[:, 0] - u.mean()
     most, n = 2 * lags, len(e)

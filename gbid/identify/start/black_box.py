@@ -420,7 +420,8 @@ def _order_of(records: Sequence[Record], feedthrough: bool) -> SubspaceOrders:
     squares = []
     for order in range(1, most + 1):
         model = black_box(begin, order, feedthrough=feedthrough, lags=full.lags)
-        squares.append(_batch_means(((np.concatenate([_errors(model, r) for r in rest]) / scale) ** 2).sum(axis=1)))
+        square = ((np.concatenate([_errors(model, r) for r in rest]) / scale) ** 2).sum(axis=1)
+        squares.append(np.array([batch.mean() for batch in np.array_split(square, 20)]))  # nearly independent
     best = int(np.argmin([each.mean() for each in squares]))
     with np.errstate(invalid="ignore"):  # infinite errors of unstable models
         more = np.array([each - squares[best] for each in squares])
@@ -428,11 +429,6 @@ def _order_of(records: Sequence[Record], feedthrough: bool) -> SubspaceOrders:
         certain = np.maximum(_STANDARD_ERRORS * std, _NO_MATTER * squares[best].mean())
         order = int(np.argmax(means <= certain)) + 1  # never beyond the best, whose difference is zero
     return SubspaceOrders(S / S[0], np.array([each.mean() for each in squares]), std, order)
-
-
-def _batch_means(values: FloatArray) -> FloatArray:
-    """Return means of twenty batches of values (n,), which are nearly independent."""
-    return np.array([batch.mean() for batch in np.array_split(values, 20)])
 
 
 def _errors(model: BlackBox, record: Record) -> FloatArray:
