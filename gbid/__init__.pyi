@@ -7,6 +7,7 @@ from . import (
     export as export,
     identify as identify,
     lpv as lpv,
+    online as online,
     recording as recording,
     report as report,
     rig as rig,
@@ -37,12 +38,9 @@ from .excite import (
     design_excitation as design_excitation,
 )
 from .export.matlab import save_mat as save_mat
-from .export.tables import save_csv as save_csv
 from .identify import (
     FitResult as FitResult,
-    FitTable as FitTable,
     FrequencyData as FrequencyData,
-    estimate_delay as estimate_delay,
     fit_multistart as fit_multistart,
     measured_response as measured_response,
     profile as profile,
@@ -55,6 +53,10 @@ from .lpv import (
     fit_lpv as fit_lpv,
     fit_lpv_direct as fit_lpv_direct,
     load_model as load_model,
+)
+from .online import (
+    BalanceWhileRunning as BalanceWhileRunning,
+    RecursiveFit as RecursiveFit,
 )
 from .prefilter.runout_identification import (
     align_index as align_index,

@@ -292,6 +292,18 @@ def export(
     mass: Annotated[
         float | None, typer.Option("--mass", metavar="KG", help="Of --to ross: modal mass of the rotor, needed there.")
     ] = None,
+    balance: Annotated[
+        bool,
+        typer.Option("--balance", help="Of --to c: cancel unbalance while running, by the identified model."),
+    ] = False,
+    speeds: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--speeds", metavar="RPM RPM", help="Of --balance: lowest and highest speed; else of the model."),
+    ] = None,
+    learn: Annotated[
+        str,
+        typer.Option("--learn", metavar="NAMES", help="Of --to c: parameters to estimate while running, k_xx,k_yy."),
+    ] = "",
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
@@ -302,11 +314,18 @@ def export(
     from gbid.experiment.exporting import find_exports, write_exports
 
     export_target(to)
-    for option, value, target in (("--number", number, "c"), ("--mass", mass, "ross")):
+    for option, value, target in (
+        ("--number", number, "c"),
+        ("--balance", balance or None, "c"),
+        ("--mass", mass, "ross"),
+    ):
         if value is not None and to != target:
             raise UsageError(f"{option} is for --to {target}; leave it out with --to {to}")
+    if speeds is not None and not balance:
+        raise UsageError("--speeds is for --balance; leave it out without")
+    names = tuple(name.strip() for name in learn.split(",") if name.strip())
     exports = find_exports(source, at, options.results, tell_line)
-    request = ExportRequest(output or exports.folder, options.overwrite, at, number, mass)
+    request = ExportRequest(output or exports.folder, options.overwrite, at, number, mass, balance, speeds, names)
     files = [str(path) for path in write_exports(exports, to, request)]
     if options.as_json:
         print_json({"files": files, "left_out": list(exports.left_out), "notes": list(exports.notes)})

@@ -141,6 +141,7 @@ class ControlNote(NoteKind):
     UNMOVED_MODES = "GB415"
     IDLE_GAINS = "GB416"
     NO_OSCILLATION = "GB417"
+    BALANCE_UNPROVED = "GB418"
 
 
 FAMILIES: Mapping[str, type[NoteKind]] = MappingProxyType(

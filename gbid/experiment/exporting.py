@@ -22,7 +22,7 @@ from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.prefilter import MAP_FOLDER
 from gbid.export.targets import ExportItem, ExportRequest, export_target
 from gbid.identify import FitResult
-from gbid.lpv import LPVModel
+from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model_file import load_model
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.filtering import PrefilterFile
@@ -154,7 +154,9 @@ def _of_experiment(experiment: Experiment, at: Point | None) -> Exports:
         try:
             if read_yaml(file).data.get("kind") == "lpv_model":
                 name = "_".join(part for part in file.relative_to(folder).with_suffix("").parts if part != "lpv")
-                items += _of_model(identifier(name), load_model(file), at)
+                stored = load(beside) if (beside := file.with_suffix(".h5")).is_file() else None
+                lpv_fit, of_model = stored if isinstance(stored, LPVFit) else None, load_model(file)
+                items += [replace(item, fit=lpv_fit) for item in _of_model(identifier(name), of_model, at)]
         except GbidError as error:
             left_out.append(str(error))
     notes = [note for item in items if isinstance(item.what, LPVModel) for note in item.what.notes]

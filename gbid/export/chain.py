@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property
-from itertools import pairwise, product
-from typing import Annotated, Any, Literal, cast
+from functools import cached_property
+from typing import Annotated, Literal, cast
 
 import numpy as np
 import scipy
@@ -25,6 +24,9 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import Exact, Finite, NotNegative, Positive, check_options
+from gbid.online.balance import BalanceWhileRunning
+from gbid.online.grid import TOLERANCE, GridTable, table_of_points, table_over_domain
+from gbid.online.recursive import RecursiveFit
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
@@ -145,6 +147,10 @@ class ChainOptions:
     on_fault : {"fade", "control"}
         What the watchdog does besides telling the fault: it fades the control out, or leaves it on. A rotor that only
         the control holds up falls when that fades out; faulty samples then leave the last good position in force.
+    dither : float
+        Amplitude of the binary excitation of `gbid export --learn` at each output, in its unit; 0 for none.
+    forgetting_s, memory_s : float
+        Forgetting time of these estimates and memory of their predictor [s], see `gbid.RecursiveFit`.
     limits : tuple of float, optional
         Of a machine without the four stacks: limit of the magnitude of each output, in its unit. The outputs then go
         out as they are, with `offsets`, and `limit_m`, `offset_m`, `stroke_m`, `disc_limit_m` and `spike_limit_m` have
@@ -181,6 +187,9 @@ class ChainOptions:
     speed_rate: Positive = 2000.0
     number: Number = "double"
     on_fault: Literal["fade", "control"] = "fade"
+    dither: NotNegative = 0.0
+    forgetting_s: Positive = 1.0
+    memory_s: Positive | None = None
     limits: tuple[Positive, ...] | None = None
     offsets: tuple[Finite, ...] = ()
     beyond: tuple[Positive, ...] | None = None
@@ -253,154 +262,6 @@ FADE_FORGETS = 16.0
 """Time of a fade over the time constant with which the states of the controller decay near its lower end."""
 
 
-# ---- Tables over scheduling variables with multilinear interpolation, as in the generated source.
-
-TOLERANCE = 1e-3
-"""Largest error of the interpolation between nodes, as a share of the largest magnitude of an entry."""
-MOST_NODES = 9
-"""Most nodes along each of one or two variables."""
-FEWER_NODES = 5
-"""Most nodes along each of three or more variables, whose rows are many."""
-
-
-@dataclass(frozen=True, eq=False)
-class GridTable:
-    """Rows of numbers over a grid of scheduling variables; a single row if the controller is not scheduled.
-
-    Attributes
-    ----------
-    axes : dict of str to tuple of float
-        Nodes of each variable, ascending; empty for a single row, else at least two.
-    rows : (n_nodes, n_entries) array
-        Rows, the nodes of the last variable within those of the variables before it.
-    error : float
-        Largest error between nodes that was found, as a share of the largest magnitude of an entry.
-    """
-
-    axes: Mapping[str, tuple[float, ...]]
-    rows: FloatArray
-    error: float = 0.0
-
-    @property
-    def is_scheduled(self) -> bool:
-        """Whether the table has more than one row."""
-        return len(self.rows) > 1
-
-    @cached_property
-    def _lists(self) -> list[list[float]]:
-        return [[float(v) for v in row] for row in self.rows]
-
-    def row(self, *point: float) -> list[float]:
-        """Return the row at an operating point, with the operations of the C source in their order.
-
-        Parameters
-        ----------
-        *point : float
-            Variables in the order of `axes`; outside the nodes the nearest is taken.
-        """
-        rows = self._lists
-        if not self.is_scheduled:
-            return rows[0]
-        axes = [*self.axes.values()]
-        places = [_place(nodes, value) for nodes, value in zip(axes, point, strict=True)]
-        total: list[float] = []
-        for corner in product((0, 1), repeat=len(places)):
-            weight, at = 1.0, 0
-            for up, (i, share), nodes in zip(corner, places, axes, strict=True):
-                weight, at = weight * (share if up else 1.0 - share), at * len(nodes) + i + up
-            part = [weight * v for v in rows[at]]
-            total = [a + b for a, b in zip(total, part, strict=True)] if total else part
-        return total
-
-
-def inverse_widths(nodes: tuple[float, ...]) -> list[float]:
-    """Return the reciprocal of the distance between each node and the next node.
-
-    Parameters
-    ----------
-    nodes : tuple of float
-        Nodes, ascending.
-    """
-    return [1.0 / (nodes[i + 1] - nodes[i]) for i in range(len(nodes) - 1)]
-
-
-def _place(nodes: tuple[float, ...], value: float) -> tuple[int, float]:
-    """Return the index of the grid node below a value, and the fraction of the interval up to the value."""
-    value = min(max(value, nodes[0]), nodes[-1])
-    i = sum(value >= node for node in nodes[1:-1])
-    return i, (value - nodes[i]) * inverse_widths(nodes)[i]
-
-
-def table_of_points(rows: dict[Point, FloatArray], what: str, variables: Sequence[str] = SCHEDULING) -> GridTable:
-    """Return a table from rows at the points of a full grid.
-
-    Parameters
-    ----------
-    rows : dict of point to (n_entries,) array
-        Rows by operating point, such as (pressure_bar, speed_rpm).
-    what : str
-        What the rows are, for the message.
-    variables : sequence of str
-        Names of the scheduling variables.
-
-    Raises
-    ------
-    UsageError
-        When points of the grid are missing.
-    """
-    axes = [tuple(sorted(set(values))) for values in zip(*rows, strict=True)]
-    grid = [*product(*axes)]
-    missing = [point for point in grid if point not in rows]
-    if missing:
-        where = point_label(*missing[0], variables=variables)
-        raise UsageError(
-            f"{what}: the operating points are no full grid, {where} is missing; add it, or choose one operating point "
-            "(--at BAR RPM)"
-        )
-    values = np.array([rows[point] for point in grid])
-    if len(rows) == 1:
-        return GridTable(dict.fromkeys(variables, ()), values)
-    # the only node of an axis is repeated, so that the source needs one form of interpolation
-    nodes = [each if len(each) > 1 else (each[0], each[0] + 1.0) for each in axes]
-    values = values.reshape(*map(len, axes), -1)
-    values = np.broadcast_to(values, (*map(len, nodes), values.shape[-1]))
-    return GridTable(dict(zip(variables, nodes, strict=True)), values.reshape(-1, values.shape[-1]))
-
-
-def table_over_domain(row_at: Callable[..., FloatArray], domain: lpv.Domain) -> GridTable:
-    """Return a table over a domain, with as many nodes as the interpolation error requires.
-
-    Parameters
-    ----------
-    row_at : callable
-        From the scheduling variables, such as pressure [bar] and speed [rpm], to the exact row.
-    domain : Domain
-        The domain.
-
-    Returns
-    -------
-    GridTable
-        Its error is at most `TOLERANCE`, or that of `MOST_NODES` or `FEWER_NODES` along an axis.
-    """
-    exact: Any = cache(lambda *point: np.asarray(row_at(*point), float))
-    count, most = [2] * len(domain.bounds), MOST_NODES if len(domain.bounds) < 3 else FEWER_NODES
-    while True:  # one node where both bounds are equal
-        axes = [np.unique(np.linspace(*ends, n)).tolist() for ends, n in zip(domain.bounds, count, strict=True)]
-        table = table_of_points({point: exact(*point) for point in product(*axes)}, "schedule", domain.variables)
-        if not table.is_scheduled:
-            return table
-        largest = np.abs(table.rows).max(axis=0)
-        scale = np.maximum(largest, max(1e-6 * float(largest.max(initial=0.0)), 1e-300))
-        errors = []
-        for i, nodes in enumerate(axes):
-            places = product(*axes[:i], [0.5 * (a + b) for a, b in pairwise(nodes)], *axes[i + 1 :])
-            errors.append(max((float((np.abs(table.row(*q) - exact(*q)) / scale).max()) for q in places), default=0.0))
-        refined = [e > TOLERANCE / 2 and n < most for e, n in zip(errors, count, strict=True)]
-        if not any(refined):
-            return replace(table, error=sum(errors))
-        count = [2 * n - 1 if more else n for n, more in zip(count, refined, strict=True)]
-
-
 Kind = Literal["x", "e", "d"]
 
 
@@ -450,6 +311,10 @@ class Chain(Brief):
         Names of the n inputs and of the m outputs of the controller.
     notes : tuple of str
         Remarks for the reader of the source.
+    balance : BalanceWhileRunning or None
+        Cancellation of unbalance after the controller.
+    learn : RecursiveFit or None
+        Recursive estimates beside the controller, and its dither.
     """
 
     name: str
@@ -464,6 +329,8 @@ class Chain(Brief):
     input_names: tuple[str, ...] = PIEZO_CHANNELS[0]
     output_names: tuple[str, ...] = PIEZO_CHANNELS[1]
     notes: tuple[str, ...] = ()
+    balance: BalanceWhileRunning | None = None
+    learn: RecursiveFit | None = None
 
     @property
     def n_orders(self) -> int:
@@ -520,21 +387,27 @@ class Chain(Brief):
     @property
     def needs_angle(self) -> bool:
         """Whether the chain uses the shaft angle."""
-        return any(each.needs_angle for each in self.maps)
+        return self.balance is not None or any(each.needs_angle for each in self.maps)
 
     @property
-    def _schedules(self) -> list[GridTable]:
-        return [t for t in (self.controller, self.harmonics) if t is not None and t.is_scheduled]
+    def schedules(self) -> dict[str, GridTable]:
+        """Tables over scheduling variables with more than one row, by their names in the C source."""
+        tables = {
+            "controller": self.controller,
+            "map": self.harmonics,
+            "balance": None if self.balance is None else self.balance.table,
+        }
+        return {name: table for name, table in tables.items() if table is not None and table.is_scheduled}
 
     @property
     def is_scheduled(self) -> bool:
         """Whether the chain uses scheduling variables."""
-        return bool(self._schedules)
+        return bool(self.schedules)
 
     @property
     def further(self) -> tuple[str, ...]:
         """Scheduling variables beside pressure and speed, which every chain takes."""
-        return tuple(dict.fromkeys(name for t in self._schedules for name in t.axes if name not in SCHEDULING))
+        return tuple(dict.fromkeys(name for t in self.schedules.values() for name in t.axes if name not in SCHEDULING))
 
     @property
     def scheduling(self) -> tuple[str, ...]:
@@ -568,7 +441,7 @@ class Chain(Brief):
     @property
     def point_bounds(self) -> tuple[tuple[float, float], ...]:
         """Range of each variable of `scheduling` that the schedules cover."""
-        axes = [[t.axes[name] for t in self._schedules if name in t.axes] for name in self.scheduling]
+        axes = [[t.axes[name] for t in self.schedules.values() if name in t.axes] for name in self.scheduling]
         return tuple((min(q[0] for q in each), max(q[-1] for q in each)) if each else (0.0, 0.0) for each in axes)
 
     @property
@@ -582,6 +455,8 @@ class Chain(Brief):
     def content_key(self) -> str:
         """Digest of all numbers of the chain, 64 hexadecimal digits."""
         tables = [t for t in (self.controller, self.harmonics) if t is not None]
+        if self.balance is not None:
+            tables.append(self.balance.table)
         document = {
             "gbid": __version__,
             "name": self.name,
@@ -593,6 +468,12 @@ class Chain(Brief):
             "options": asdict(self.options),
             "channels": [self.input_names, self.output_names, *self.further],
         }
+        if self.balance is not None:
+            document["balance"] = [self.balance.speeds_rpm, self.balance.time_constant_s, self.balance.share]
+        if self.learn is not None:
+            numbers = [self.learn.start, self.learn.prior_std, self.learn.bounds, *self.learn.tables[:-2]]
+            settings = [self.learn.forgetting_s, self.learn.dither, self.learn.hold_samples]
+            document["learn"] = [self.learn.names, settings, [array.tolist() for array in numbers]]
         return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
@@ -671,6 +552,8 @@ def chain_of(
     runout_maps: Sequence[RunoutMap] = (),
     still: Sequence[Recording] = (),
     options: ChainOptions | None = None,
+    balance: BalanceWhileRunning | None = None,
+    learn: RecursiveFit | None = None,
 ) -> Chain:
     """Return the control chain of a design.
 
@@ -690,6 +573,11 @@ def chain_of(
     options : ChainOptions, optional
         Limits, ramps, guards and watchdog. `stroke_m` and `disc_limit_m` of the four stacks are required, unless the
         provenance of the design has piezo_travel_m and clearance_m, or its plant is a model that comes with gbid.
+    balance : BalanceWhileRunning, optional
+        Cancellation of unbalance for this design. The run-out maps must then be those of slow roll: at most a quarter
+        of the lowest speed at which unbalance is cancelled.
+    learn : RecursiveFit, optional
+        Recursive estimates for this design, which must have constant gains, and their dither.
 
     Returns
     -------
@@ -699,7 +587,8 @@ def chain_of(
     ------
     UsageError
         When the controller is unstable by itself or faster than its sample rate, when the name is no C identifier,
-        when limits are missing, or when options or maps do not fit its channels.
+        when limits are missing, when options or maps do not fit its channels, or when a run-out map contains the
+        response to the unbalance that is to be cancelled.
     DataError
         When the zero of the angle of a recording is not that of the map.
     """
@@ -725,6 +614,10 @@ def chain_of(
     if table.error > TOLERANCE:
         text = f"schedule: interpolation is off by up to {100 * table.error:.2g} % of an entry between nodes"
         notes = (ControlNote.INTERPOLATED(text),)
+    if balance is not None:
+        notes = (*notes, *_check_balance(balance, design, maps))
+    if learn is not None:
+        _check_learn(learn, model, table.is_scheduled, options)
     plant = f", designed for {design.plant}" if design.plant else ""
     return Chain(
         name,
@@ -739,7 +632,51 @@ def chain_of(
         inputs,
         references,
         notes,
+        balance,
+        learn,
     )
+
+
+SLOW_ROLL = 0.25
+"""Largest speed of a run-out map over the lowest speed at which unbalance is cancelled."""
+
+
+def _check_balance(
+    balance: BalanceWhileRunning, design: control.ControllerDesign, maps: tuple[RunoutMap, ...]
+) -> tuple[str, ...]:
+    """Refuse a cancellation for another controller, or of what a map takes out; return notes."""
+    if (balance.design.gains, balance.design.rate) != (design.gains, design.rate):
+        raise UsageError(
+            f"balance is of controller {balance.design.name!r} with other gains or another sample time than "
+            f"{design.name!r}; give BalanceWhileRunning the design of the chain",
+            "balance",
+        )
+    lowest = SLOW_ROLL * cast(tuple[float, float], balance.speeds_rpm)[0]
+    for each in maps:
+        if each.conditions.get("speed_rpm", 0.0) > lowest:
+            raise UsageError(
+                f"run-out map of {', '.join(each.sources)} was recorded at {each.conditions['speed_rpm']:g} rpm: it "
+                "contains the response to the unbalance that is to be cancelled; record it at slow roll, at most "
+                f"{lowest:g} rpm",
+                "balance",
+            )
+    if balance.has_uncertainty:
+        return ()
+    return (ControlNote.BALANCE_UNPROVED("balance: the model states no uncertainty; its phase error is not bounded"),)
+
+
+def _check_learn(learn: RecursiveFit, model: LinearModel, is_scheduled: bool, options: ChainOptions) -> None:
+    """Refuse recursive estimates for another controller, or with a delayed position."""
+    law = learn.tables.law
+    alike = (law.A.shape, law.dt) == (model.A.shape, model.dt)
+    if is_scheduled or not alike or any((getattr(law, a) != getattr(model, a)).any() for a in "ABCD"):
+        raise UsageError(
+            "learn is of another controller, or the controller is scheduled; give RecursiveFit the design of the "
+            "chain, at one operating point (--at BAR RPM)",
+            "learn",
+        )
+    if options.median != 1:
+        raise UsageError("learn: the median delays the position by a sample; use the spike guard (median: 1)", "median")
 
 
 def _controller_table(

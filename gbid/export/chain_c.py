@@ -19,7 +19,7 @@ from gbid.core.compiled import CompilerMissingError, load_library
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, atomic_set, with_text_checksum
 from gbid.core.names import given_path
-from gbid.export.chain import Chain, GridTable, c_comment, c_number, inverse_widths
+from gbid.export.chain import Chain, c_comment, c_number
 from gbid.export.chain_python import (
     FLOAT_TOLERANCE,
     LARGEST_ANGLE,
@@ -30,6 +30,9 @@ from gbid.export.chain_python import (
     ChainOutput,
     selftest_rows,
 )
+from gbid.online.balance import NEAR_LIMIT, Balancing
+from gbid.online.grid import GridTable, inverse_widths
+from gbid.online.recursive import EXCITED, OUTLIER, PRIOR_UNBALANCE_M, SCALE_OF_MEAN, UNBALANCE
 from gbid.prefilter.runout import COSINE, QUARTER, QUARTERS_PER_RADIAN, SINE, TURN, RunoutMap
 
 _BYTES = {"double": 8, "float": 4}
@@ -70,10 +73,11 @@ def render_source(template: str, chain: Chain, **further: Any) -> str:
 def _values(chain: Chain) -> dict[str, Any]:
     """Return the values that all templates need."""
     number = chain.options.number
-    scheduled = [("controller", chain.controller), ("map", chain.harmonics)]
     harmonics_rows = [] if chain.harmonics is None else chain.harmonics.rows.tolist()
     controller_rows = chain.controller.rows.tolist()
-    bins = None if chain.bins is None else _bins(chain.bins)
+    bins, learning = None if chain.bins is None else _bins(chain.bins), _learning(chain)
+    learned = learning["tables"] if learning else []
+    waves = (3 if chain.balance else 1) * (len(chain.limits) + len(chain.input_names))
     return {
         "chain": chain,
         "name": chain.name,
@@ -82,6 +86,7 @@ def _values(chain: Chain) -> dict[str, Any]:
         "n_in": len(chain.input_names),
         "n_out": len(chain.limits),
         "n_commands": len(chain.commands),
+        "n_values": len(chain.commands) + waves + (3 * learning["n_all"] if learning else 0),
         "title": c_comment(chain.title),
         "version": __version__,
         "key": chain.content_key,
@@ -94,21 +99,19 @@ def _values(chain: Chain) -> dict[str, Any]:
         "controller_scheduled": chain.controller.is_scheduled,
         "harmonics_rows": harmonics_rows,
         "harmonics_scheduled": chain.harmonics is not None and chain.harmonics.is_scheduled,
-        "schedules": [
-            (name, table, _corners(table, number))
-            for name, table in scheduled
-            if table is not None and table.is_scheduled
-        ],
+        "schedules": [(name, table, _corners(table, number)) for name, table in chain.schedules.items()],
         "bins": bins,
         "turn": TURN,
         "angle": {"per_turn": 1 / TURN, "turn": WHOLE_TURN, "largest": LARGEST_ANGLE},
         "point": [f"input->{name}" for name in chain.scheduling],
         "bounds": chain.point_bounds,
         "steps": chain.point_steps,
-        "uses_angle_sums": chain.n_orders > 0,
+        "uses_angle_sums": chain.n_orders > 0 or chain.balance is not None or bool(learning and learning["unbalance"]),
+        "balancing": _balancing(chain),
+        "learning": learning,
         "trig": _trigonometry(number),
         "state_bytes": _state_bytes(chain),
-        "table_bytes": _BYTES[number] * _table_numbers(chain, bins),
+        "table_bytes": _BYTES[number] * (_table_numbers(chain, bins) + sum(len(t) * len(t[0]) for _, t in learned)),
     }
 
 
@@ -161,8 +164,69 @@ def _bins(runout_map: RunoutMap) -> dict[str, Any]:
     }
 
 
+def _balancing(chain: Chain) -> dict[str, Any] | None:
+    """Return the numbers of the cancellation of unbalance; None without one."""
+    if chain.balance is None:
+        return None
+    twin = Balancing(chain.balance, chain.limits, chain.fade_samples)
+    return {
+        "rows": chain.balance.table.rows.tolist(),
+        "speeds": chain.balance.speeds_rpm,
+        "squares": twin.squares,
+        "near": [NEAR_LIMIT * square for square in twin.squares],
+        "share": twin.share,
+        "end": twin.end_samples,
+    }
+
+
+def _learning(chain: Chain) -> dict[str, Any] | None:
+    """Return the numbers of the recursive estimates; None without them."""
+    if chain.learn is None:
+        return None
+    fit, t = chain.learn, chain.learn.tables
+    units = [fit.start, fit.prior_std, fit.bounds / fit.prior_std]
+    tables = {
+        "state": t.A,
+        "input": t.G,
+        "position": t.C,
+        "gain": t.K,
+        "observer": t.F[t.first :, t.first :],
+        "slope": t.slopes[:, t.first :].reshape(-1, t.slopes.shape[2]),
+        "force": t.E[t.first :],
+        "whiten": t.whiten,
+        "outputs": (t.whiten @ t.C)[:, t.first :],
+        **{f"law_{letter.lower()}": getattr(t.law, letter) for letter in "ABCD"},
+    }
+    unbalance = [(i, name) for i, name in enumerate(fit.names) if name in UNBALANCE]
+    return {
+        "tables": [(n, a.tolist()) for n, a in tables.items() if a.size and (unbalance or n != "force")],
+        "lists": list(zip(("start", "prior", "bound"), (unit.tolist() for unit in units), strict=True)),
+        "names": fit.names,
+        "units": fit.units,
+        "n": len(t.A),
+        "first": t.first,
+        "rest": len(t.A) - t.first,
+        "m": t.G.shape[1],
+        "n_all": len(fit.names),
+        "n_plant": len(fit.names) - len(unbalance),
+        "n_law": t.law.n_states,
+        "share": fit.sample_time / fit.forgetting_s,
+        "excited": EXCITED,
+        "outlier": OUTLIER,
+        "mean": SCALE_OF_MEAN / len(t.C),
+        "warm": fit.warm_samples,
+        "unbalance": unbalance,
+        "omega": np.pi / 30,
+        "half": 0.5 * fit.sample_time,
+        "eccentricity": PRIOR_UNBALANCE_M,
+        "dither": fit.dither,
+        "hold": fit.hold_samples,
+    }
+
+
 def _table_numbers(chain: Chain, bins: dict[str, Any] | None) -> int:
-    tables = [t for t in (chain.controller, chain.harmonics) if t is not None]
+    balance = None if chain.balance is None else chain.balance.table
+    tables = [t for t in (chain.controller, chain.harmonics, balance) if t is not None]
     numbers = sum(t.rows.size + sum(2 * len(nodes) - t.is_scheduled for nodes in t.axes.values()) for t in tables)
     if bins is not None:
         numbers += (1 + 2 * len(bins["mean"])) * len(bins["angle"])
@@ -173,8 +237,16 @@ def _state_bytes(chain: Chain) -> int:
     """Return the size of the state struct [bytes]: numbers, then 32-bit integers, padded to whole numbers."""
     size = _BYTES[chain.options.number]
     n = len(chain.input_names)
-    numbers = max(len(chain.states), 1) + 6 * n + 3
-    return size * (numbers + len(chain.further) + -(-4 * (2 * n + 8) // size))
+    numbers, counts = max(len(chain.states), 1) + 6 * n + 3 + len(chain.further), 2 * n + 8
+    if chain.balance is not None:
+        numbers, counts = numbers + 2 * n + 2 * len(chain.limits) + 2, counts + 5
+    total = size * (numbers + -(-4 * counts // size))
+    if chain.learn is None:
+        return total
+    t, q, n_y, n_r = chain.learn.tables, len(chain.learn.names), n, len(chain.limits)
+    states = 2 * len(t.A) + q * (len(t.A) - t.first) + max(t.law.n_states, 1)
+    numbers = states + 2 * t.G.shape[1] + 3 * n_r + n_y + q * q + 3 * q + 1
+    return int(total + size * (numbers + -(-4 * (n_r + q + 5) // size)))
 
 
 # ---- Control chain as compiled C in this process: software in the loop.
@@ -200,7 +272,10 @@ class CompiledChain:
     def __init__(self, chain: Chain) -> None:
         plain = replace(chain, name="chain")
         self._n_inputs = len(chain.input_names) + 2 + len(chain.scheduling)
-        self._sizes = len(chain.commands), len(chain.limits), len(chain.input_names)
+        channels = len(chain.limits), len(chain.input_names)
+        waves = tuple(2 * n for n in channels if chain.balance is not None)
+        learnt = (0 if chain.learn is None else len(chain.learn.names),) * 3
+        self._sizes = (len(chain.commands), *channels, *(waves or (0, 0)), *learnt)
         header, body = render_source("chain.h.j2", plain), render_source("chain.c.j2", plain)
         source = header + body.replace('#include "chain.h"\n', "") + render_source("chain_run.c.j2", plain)
         try:
@@ -264,9 +339,25 @@ class CompiledChain:
 
     def _output(self, row: FloatArray) -> ChainOutput:
         *values, fault, status = (float(v) for v in row)
-        (first, second, _), flags = np.cumsum(self._sizes), int(status)
-        parts = tuple(values[:first]), tuple(values[first:second]), tuple(values[second:])
-        return ChainOutput(*parts, ChainFault(int(fault)), bool(flags & 1), bool(flags & 2))
+        ends, flags = np.cumsum(self._sizes).tolist(), int(status)
+        stack, reference, deviation, waves, once, estimate, std, excited = (
+            tuple(values[end - size : end]) for end, size in zip(ends, self._sizes, strict=True)
+        )
+        return ChainOutput(
+            stack,
+            reference,
+            deviation,
+            ChainFault(int(fault)),
+            bool(flags & 1),
+            bool(flags & 2),
+            waves,
+            once,
+            bool(flags & 4),
+            estimate,
+            std,
+            tuple(map(bool, excited)),
+            bool(flags & 8),
+        )
 
 
 # ---- Files of a control chain: C source, header, self-test and notes.

@@ -12,8 +12,10 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.export.chain import Chain, SumTerm
+from gbid.online.balance import Balancing
+from gbid.online.recursive import LearnSample, RecursiveFit
 from gbid.prefilter import OnlinePrefilter
-from gbid.prefilter.runout import QUARTER, TURN
+from gbid.prefilter.runout import QUARTER, TURN, cos_sin_of_one
 
 LARGEST_ANGLE = 1e10
 """Angles of larger magnitude are faulty [rad]: 184 days of an encoder that counts up at 6 000 rpm."""
@@ -89,6 +91,17 @@ class ChainOutput:
         Why the watchdog has ended the control; it stays until the mode is another than CONTROL.
     held, saturated : bool
         Whether the sample was left out as faulty, and whether a reference is at its limit.
+    balance, once_per_turn : tuple of float
+        Real and imaginary part of the feed-forward c of each output and of the once-per-turn motion of each input;
+        empty without cancellation of unbalance.
+    balance_ended : bool
+        Whether the watchdog has ended the cancellation of unbalance, until the mode is another than CONTROL.
+    estimate, estimate_std : tuple of float
+        Recursive estimates and their standard deviations; empty without learning.
+    excited : tuple of bool
+        Whether the dither determines each of them.
+    learn_alarm : bool
+        Whether an estimate is at the border of the set for which the loop was checked.
     """
 
     stack: tuple[float, ...]
@@ -97,6 +110,13 @@ class ChainOutput:
     fault: ChainFault
     held: bool
     saturated: bool
+    balance: tuple[float, ...] = ()
+    once_per_turn: tuple[float, ...] = ()
+    balance_ended: bool = False
+    estimate: tuple[float, ...] = ()
+    estimate_std: tuple[float, ...] = ()
+    excited: tuple[bool, ...] = ()
+    learn_alarm: bool = False
 
 
 @dataclass
@@ -144,6 +164,8 @@ class PythonChain:
         first = chain.maps[0] if chain.maps else None
         self._prefilter = OnlinePrefilter(first, offset=np.array(chain.zero), median=chain.options.median)
         self._state = _State(len(chain.states), len(chain.input_names), len(chain.scheduling))
+        self._balance = None if chain.balance is None else Balancing(chain.balance, chain.limits, chain.fade_samples)
+        self._learning = None if chain.learn is None else Learning(chain.learn)
 
     def run(self, inputs: Sequence[ChainInput]) -> list[ChainOutput]:
         """Return the outputs of several samples.
@@ -177,6 +199,15 @@ class PythonChain:
         row = chain.row(chain.controller, state.point)
         kinds = {"x": state.x, "e": state.deviation, "d": [0.0] * len(chain.limits)}
         wanted = [fade * _sum(terms, row, kinds) for terms in chain.outputs]
+        balance = self._balance
+        if balance is not None:
+            turn, is_on = cos_sin_of_one(given.angle) if good else None, state.fade == chain.fade_samples
+            forward = balance.forward(turn, given.speed_rpm, is_on, given.mode == ChainMode.CONTROL)
+            wanted = [w + f for w, f in zip(wanted, forward, strict=True)]
+        learning = self._learning
+        if learning is not None:
+            dither = learning.step(state.deviation, given, good, state.fade == chain.fade_samples)
+            wanted = [w + d for w, d in zip(wanted, dither, strict=True)]
         r = [min(max(w, -limit), limit) for w, limit in zip(wanted, chain.limits, strict=True)]
         kinds["d"] = [a - b for a, b in zip(r, wanted, strict=True)]
         keep = 1.0 - (1.0 - fade) * chain.forgetting if state.fade > 0 else 0.0
@@ -190,7 +221,33 @@ class PythonChain:
                     value = value + factor * reference
             stacks.append(min(max(value, low), high))
         saturated = any(d != 0.0 for d in kinds["d"])
-        return ChainOutput(tuple(stacks), tuple(r), tuple(state.deviation), state.fault, not good, saturated)
+        more: dict[str, Any] = {}
+        if balance is not None:
+            if good:
+                balance.adapt(state.deviation, state.point[:2], saturated)
+            more = {"balance": _flat(balance.c), "once_per_turn": _flat(balance.once), "balance_ended": balance.ended}
+        if learning is not None:
+            learning.acted(r, saturated)
+            fit = learning.fit
+            more |= {"estimate": tuple(fit.values.tolist()), "estimate_std": tuple(fit.std.tolist())}
+            more |= {"excited": tuple(fit.excited.tolist()), "learn_alarm": fit.alarm}
+        return ChainOutput(tuple(stacks), tuple(r), tuple(state.deviation), state.fault, not good, saturated, **more)
+
+    def references(self, position: FloatArray, angle: float, *point: float) -> FloatArray:
+        """Return the outputs of the controller of one sample in mode CONTROL; see `CompiledChain.references`.
+
+        Parameters
+        ----------
+        position : (n,) array
+            Inputs as measured.
+        angle : float
+            Shaft angle [rad].
+        *point : float
+            Pressure [bar], speed [rpm] and further scheduling variables of the chain.
+        """
+        pressure, speed, *further = map(float, point)
+        place = tuple(map(float, position)), float(angle), pressure, speed
+        return np.array(self.step(ChainInput(*place, further=tuple(further))).reference)
 
     def _follow_point(self, given: ChainInput) -> None:
         """Move the operating point of the schedules towards the measured point, with limited rate."""
@@ -280,6 +337,59 @@ class PythonChain:
         return state.fade
 
 
+class Learning:
+    """Recursive estimates beside a controller, and their dither, sample by sample.
+
+    Parameters
+    ----------
+    fit : RecursiveFit
+        The recursion.
+    """
+
+    def __init__(self, fit: RecursiveFit) -> None:
+        self.fit, n = fit.fresh(), len(fit.tables.law.output_names)
+        self._shift = [(DITHER_SEED + DITHER_STEP * i) % 2**32 for i in range(n)]
+        self._reference, self._dither, self._hold, self._cut = [0.0] * n, [0.0] * n, 0, False
+
+    def step(self, deviation: Sequence[float], given: ChainInput, good: bool, is_on: bool) -> list[float]:
+        """Learn from a sample while the control is on, else restart; return the dither of the sample.
+
+        Parameters
+        ----------
+        deviation : sequence of float
+            e of the sample.
+        given : ChainInput
+            The sample.
+        good, is_on : bool
+            Whether the sample is none that is faulty, and whether the control is faded in.
+        """
+        if is_on:
+            known = LearnSample(
+                tuple(deviation), tuple(self._reference), tuple(self._dither), is_good=good and not self._cut
+            )
+            self.fit.update(replace(known, angle=given.angle, speed_rpm=given.speed_rpm) if good else known)
+        else:
+            self.fit.restart()
+        amplitude, last = self.fit.dither, self._hold == self.fit.hold_samples - 1
+        self._dither = [(amplitude if bits & 1 else -amplitude) if is_on else 0.0 for bits in self._shift]
+        if last:
+            self._shift = [(bits >> 1) ^ (DITHER_MASK if bits & 1 else 0) for bits in self._shift]
+        self._hold = 0 if last else self._hold + 1
+        return self._dither
+
+    def acted(self, reference: Sequence[float], saturated: bool) -> None:
+        """Keep the references of a sample (n,) and whether one was `saturated`, for the next sample."""
+        self._reference, self._cut = list(reference), saturated
+
+
+DITHER_SEED, DITHER_STEP, DITHER_MASK = 44257, 2654435769, 0xA3000000
+"""First state of the shift register of the first output, difference to the next output, and taps."""
+
+
+def _flat(pairs: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    return tuple(value for pair in pairs for value in pair)
+
+
 def within_turn(angle: float) -> float:
     """Return a shaft angle wrapped to one turn [rad], with the operations of the C source."""
     if 0.0 <= angle < TURN:
@@ -362,7 +472,8 @@ def selftest_rows(chain: Chain) -> tuple[SelfTestRow, ...]:
         values = (*drive.position, angle, 0.05, *point, drive.dither)
         given = tuple(float(np.float32(v)) if single else v for v in values)
         output = _repeated(twin, given, drive)
-        status = int(output.held) + 2 * int(output.saturated)
+        status = int(output.held) + 2 * int(output.saturated) + 4 * int(output.balance_ended)
+        status += 8 * int(output.learn_alarm)
         rows.append(
             SelfTestRow(
                 given,

@@ -27,9 +27,10 @@ from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, scratch_folder
 from gbid.core.names import given_path, one_line
 from gbid.core.option_types import NotNegative, Positive
-from gbid.export.chain import anti_windup_gain, table_over_domain
+from gbid.export.chain import anti_windup_gain
 from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVModel
+from gbid.online.grid import table_over_domain
 from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, Values
 from gbid.structure.delay import pade_matrices
 from gbid.structure.linear import Matrices, Structure, symbolic_matrices

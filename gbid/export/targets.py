@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from gbid.control import ControllerDesign
     from gbid.core.arrays import Point
     from gbid.export.chain import ChainOptions, Number
+    from gbid.lpv import LPVFit
+    from gbid.online.balance import BalanceWhileRunning
+    from gbid.online.recursive import RecursiveFit
     from gbid.prefilter import RunoutMap
 
 _N_FREQUENCIES = 400
@@ -37,12 +40,15 @@ class ExportItem:
         Run-out maps of the experiment, for a controller.
     options : ChainOptions, optional
         Limits, ramps, guards and watchdog, for a controller.
+    fit : LPVFit, optional
+        Fit of an LPV model, with its uncertainty.
     """
 
     name: str
     what: Any
     maps: tuple[RunoutMap, ...] = ()
     options: ChainOptions | None = None
+    fit: LPVFit | None = None
 
     @property
     def kind(self) -> str:
@@ -66,6 +72,12 @@ class ExportRequest:
         Type of the numbers in generated source, instead of that in the experiment.
     mass_kg : float, optional
         Modal mass, for targets in which a bearing has coefficients in N/m.
+    balance : bool
+        Whether generated source cancels unbalance.
+    speeds_rpm : (float, float), optional
+        Speeds at which it does.
+    learn : tuple of str
+        Parameters that generated source estimates while it runs.
     beside : tuple of ExportItem
         All items of the source, for a target that joins several of them, as a plant and its controller.
     """
@@ -75,6 +87,9 @@ class ExportRequest:
     at: Point | None = None
     number: Number | None = None
     mass_kg: float | None = None
+    balance: bool = False
+    speeds_rpm: tuple[float, float] | None = None
+    learn: tuple[str, ...] = ()
     beside: tuple[ExportItem, ...] = ()
 
 
@@ -126,7 +141,7 @@ def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:
         When a file exists and `overwrite` is not set, when the controller cannot run on a target, or when there is no
         run-out map at the chosen operating point.
     """
-    from gbid.export.chain import ChainOptions, chain_of
+    from gbid.export.chain import SLOW_ROLL, ChainOptions, chain_of
     from gbid.export.chain_c import write_chain
 
     design = item.what
@@ -136,8 +151,46 @@ def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:
     if request.at is not None:
         design = replace(design, structure=None, models={None: design.at(*request.at)})
         maps = _maps_at(maps, request.at)
-    chain = chain_of(design, name=item.name, runout_maps=maps, options=options)
+    balance = _balance_of(design, request) if request.balance else None
+    if balance is not None and balance.speeds_rpm is not None:  # a map of slow roll holds at all speeds
+        slow = [m for m in maps if 0 < m.conditions.get("speed_rpm", 0.0) <= SLOW_ROLL * balance.speeds_rpm[0]]
+        maps = tuple(slow[:1]) or maps
+    learn = _learn_of(design, request, options) if request.learn else None
+    chain = chain_of(design, name=item.name, runout_maps=maps, options=options, balance=balance, learn=learn)
     return write_chain(chain, request.folder, overwrite=request.overwrite)
+
+
+def _balance_of(design: ControllerDesign, request: ExportRequest) -> BalanceWhileRunning:
+    """Return the cancellation of unbalance for a design, from the model for which it was made."""
+    from gbid.control import exact_plant
+    from gbid.online.balance import BalanceWhileRunning
+
+    name, model = next(iter(_plants_of(design, request).items()))
+    if request.at is not None and hasattr(model, "plant_at"):
+        model = exact_plant(model, *request.at)
+    elif fit := next((item.fit for item in request.beside if item.name == name and item.fit is not None), None):
+        model = fit
+    return BalanceWhileRunning(model, design, speeds_rpm=request.speeds_rpm)
+
+
+def _learn_of(design: ControllerDesign, request: ExportRequest, options: ChainOptions) -> RecursiveFit:
+    """Return the recursive estimates beside a design, from the fit for which it was made."""
+    from gbid.online.recursive import RecursiveFit
+
+    fits = {name: plant for name, plant in _plants_of(design, request).items() if type(plant).__name__ == "FitResult"}
+    if len(fits) != 1:
+        raise UsageError(
+            f"--learn: controller {design.name!r} was designed for {', '.join(fits) or 'no fit'}; recursive estimates "
+            "begin with one fit of the plant from r to p, for which the controller is tuned (plant: of the controller)"
+        )
+    return RecursiveFit(
+        next(iter(fits.values())),
+        design,
+        parameters=request.learn,
+        forgetting_s=options.forgetting_s,
+        memory_s=options.memory_s,
+        dither=options.dither,
+    )
 
 
 def _maps_at(maps: tuple[RunoutMap, ...], at: Point) -> tuple[RunoutMap, ...]:

@@ -46,6 +46,7 @@ from .model_pictures import (
     plot_poles as plot_poles,
     plot_orders as plot_orders,
     plot_profile as plot_profile,
+    plot_recursive_fit as plot_recursive_fit,
     plot_step as plot_step,
 )
 from .pictures import (

@@ -37,6 +37,7 @@ from gbid.identify.uncertainty.curves import (
     time_response,
 )
 from gbid.identify.uncertainty.uncertain_model import ModelLike, UncertainModel, as_uncertain
+from gbid.online import RecursiveResult
 from gbid.recording import Recording
 from gbid.report.canvas import (
     GREY,
@@ -754,6 +755,37 @@ def plot_profile(
     axes[0].set_ylabel("likelihood ratio")
     legend_above(figure, axes)
     return axes[: len(each)]
+
+
+def plot_recursive_fit(result: RecursiveResult, ax: Axes | Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw recursive estimates over time with their 95 % intervals; grey where the dither does not excite.
+
+    Parameters
+    ----------
+    result : RecursiveResult
+        Result of `gbid.RecursiveFit.run`.
+    ax : matplotlib Axes or sequence of them, optional
+        Axes to draw into, one for each parameter; a new figure when left out.
+
+    Returns
+    -------
+    array of matplotlib Axes
+        The axes; ``axes[0].figure`` is the figure.
+    """
+    n = len(result.names)
+    _, axes = panels(ax, n, 1, size=(TWO_COLUMNS, 0.6 + 1.1 * n))
+    for i, (panel, name) in enumerate(zip(axes, result.names, strict=False)):
+        factor, unit = unit_label(result.units[i])
+        value, width = factor * result.parameters[:, i], quantile(LEVEL) * factor * result.std[:, i]
+        color = series(0)["color"]
+        for mask, shade in ((result.excited[:, i], color), (~result.excited[:, i], GREY)):
+            panel.fill_between(
+                result.time_s, value - width, value + width, where=mask, color=shade, alpha=0.25, linewidth=0
+            )
+        panel.plot(result.time_s, value, color=color)
+        panel.set_ylabel(f"{symbol(name)} [{unit}]")
+    axes[n - 1].set_xlabel("time [s]")
+    return axes[:n]
 
 
 def response_data(

@@ -42,6 +42,7 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:
     FrequencyData, MeasuredResponse         `plot_bode`
     ModelComparison                         `plot_bode`
     SubspaceOrders                          `plot_orders`
+    RecursiveResult                         `plot_recursive_fit`
     Profile                                 `plot_profile`
     Validation                              `plot_response`
     ResidualTest                            `plot_residuals`

@@ -174,7 +174,7 @@ def test_load_returns_the_type_that_the_file_names(tmp_path):
     gbid.save(recording, tmp_path / "a.h5")
     assert type(gbid.load(tmp_path / "a.h5")) is gbid.Recording
     with pytest.raises(DataError, match="expected a gbid table file, found recording"):
-        gbid.load(tmp_path / "a.h5", gbid.FitTable)
+        gbid.load(tmp_path / "a.h5", gbid.identify.FitTable)
     write(tmp_path / "b.h5")
     with pytest.raises(DataError, match=r"b\.h5: a thing file; `gbid\.load` reads fit, impact"):
         gbid.load(tmp_path / "b.h5")

@@ -290,7 +290,7 @@ def test_prior_and_bound_and_fixed_values_hold():
 
 def test_a_file_gives_back_what_was_saved(tmp_path):
     data = measured(7)
-    gbid.save_csv(data, tmp_path / "frf.csv")
+    gbid.export.save_csv(data, tmp_path / "frf.csv")
     again = FrequencyData.read(tmp_path / "frf.csv")
     np.testing.assert_allclose(again.response, data.response, rtol=1e-6)
     np.testing.assert_allclose(again.std, data.std, rtol=1e-6)

@@ -50,7 +50,7 @@ def test_a_long_delay_is_in_csv_as_in_the_picture(tmp_path: Path) -> None:
     late = LinearModel([[-1.0]], [[0.0]], [[1.0]], [[0.0]], B_delayed=[[1.0]], delay=[2.0])
     expected = -np.degrees(np.arctan(2 * np.pi * f)) - 720 * f
     np.testing.assert_allclose(bode(late, f).phase_deg[:, 0, 0], expected, atol=1e-6)
-    with gbid.save_csv(late, tmp_path / "late.csv", frequency_hz=f).open() as file:
+    with gbid.export.save_csv(late, tmp_path / "late.csv", frequency_hz=f).open() as file:
         rows = list(csv.reader(file))[1:]
     np.testing.assert_allclose([float(row[2]) for row in rows], expected, atol=1e-6)
     both = LinearModel([[-1.0]], [[0.1]], [[1.0]], [[0.0]], B_delayed=[[1.0]], delay=[2.0])  # followed in fine steps

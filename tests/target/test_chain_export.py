@@ -22,9 +22,10 @@ from target_files import write_box
 import gbid
 from gbid.control import ControllerDesign, controller_structure
 from gbid.core.errors import DataError, UsageError
-from gbid.export.chain import ChainOptions, c_comment, chain_of, table_over_domain
+from gbid.export.chain import ChainOptions, c_comment, chain_of
 from gbid.export.chain_c import CompiledChain, write_chain
 from gbid.lpv import Domain
+from gbid.online.grid import table_over_domain
 from gbid.recording import Recording
 from gbid.report import write as report_file
 from gbid.structure import LinearModel
