@@ -106,8 +106,7 @@ def find_compiler() -> Compiler:
     """
     named = os.environ.get("CC", "")
     try:
-        zig = [sys.executable, "-P", "-m", "ziglang", "cc"] if find_spec("ziglang") else []
-        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"], zig]
+        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"], *_packaged()]
     except ValueError as error:  # an open quotation mark
         raise CompilerMissingError(f"no C compiler found (CC = {named!r}: {error})") from None
     for command in candidates:
@@ -116,6 +115,10 @@ def find_compiler() -> Compiler:
             if ended.returncode == 0:
                 return Compiler(tuple(command), ended.stdout)
     raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang, ziglang'})")
+
+
+def _packaged() -> list[list[str]]:
+    return [[sys.executable, "-P", "-m", "ziglang", "cc"]] if find_spec("ziglang") else []
 
 
 def compile_source(compiler: Compiler, flags: Sequence[str], source: str, library: Path) -> None:
