@@ -1,6 +1,6 @@
 """Static output feedback of least H-infinity norm: `gbid.tune` beside BFGS on plants of COMPleib.
 
-``python -m tests.benchmarks.static_feedback COMPleib.m [--states N] [--output FILE]``; the file of the library is not
+``python -m tests.benchmarks.static_feedback --library COMPleib.m [--states N] [--output FILE]``; the library is not
 part of gbid.
 """
 
@@ -36,7 +36,7 @@ BEST = {
     "AC15": 15.1687,
     "NN9": 28.6633,
 }
-"""Lowest norms known: of HIFOO and hinfstruct in the literature, or where lower of any search of this study."""
+"""Lowest norms that any search of this study has found."""
 BOUND = 1e3
 """Bound of every gain."""
 STARTS = 10

@@ -47,7 +47,7 @@ class LoopState:
     gains : (d,) array
         The gains.
     loops : Loops or Derivatives
-        Matrices; with derivatives where slopes are wanted.
+        Matrices; with their derivatives where these are known.
     steps : (d,) array
         Changes of each gain for differences, towards the inside of the bounds.
     known_system : Eigensystem, optional
@@ -71,11 +71,10 @@ class LoopState:
         """Eigenvalues and eigenvectors."""
         return self.known_system or Eigensystem.of(self.loops.A)
 
-    @property
+    @cached_property
     def derivatives(self) -> Derivatives:
         """Matrices with their derivatives."""
-        assert isinstance(self.loops, Derivatives)
-        return self.loops
+        return self.loops if isinstance(self.loops, Derivatives) else self.family.derivatives(self.gains)
 
     def cluster(self, loop: int, place: complex, size: int, least_rate: float) -> Cluster | None:
         """Return the cluster of a loop's eigenvalues nearest to a complex number; None if they are not separate.
@@ -344,6 +343,8 @@ class GainProblem:
     linear: tuple[tuple[str, FloatArray, float], ...] = ()
     cuts: tuple[Cut, ...] = ()
     evaluations: Evaluations = field(default_factory=Evaluations)
+    _recent: dict[bytes, list[LoopState]] = field(default_factory=dict, init=False, repr=False)
+    """Loops of the last design with a score, whose peaks its gradients need, too."""
 
     @property
     def slowest(self) -> float:
@@ -383,6 +384,9 @@ class GainProblem:
                 states = [replace(state, enough=-worst) for state in states]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
             value = min([value, *(-float(self._objective(e, s).max()) for e in self.limits.soft for s in states)])
+            if value >= worst:  # else some peaks are lower bounds
+                self._recent.clear()
+                self._recent[x.tobytes()] = states
         return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
 
     @property
@@ -398,7 +402,8 @@ class GainProblem:
 
     def states(self, x: FloatArray) -> list[LoopState]:
         """Return the loops of all families for given gains, with derivatives."""
-        return [self.state(family, family.derivatives(x), x) for family in self.families]
+        recent = self._recent.get(x.tobytes())
+        return recent or [self.state(family, family.derivatives(x), x) for family in self.families]
 
     @property
     def edge(self) -> float:

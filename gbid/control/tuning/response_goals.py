@@ -416,8 +416,7 @@ class PathMeasure(ResponseMeasure):
         assert isinstance(state.family, ControlLoops)
         if self.path not in state.computed:
             family = state.family.along(self.path)
-            take = family.derivatives if isinstance(state.loops, Derivatives) else family.matrices
-            loops = take(state.gains)
+            loops = family.matrices(state.gains)
             system = state.system if np.array_equal(loops.A, state.loops.A) else None
             state.computed[self.path] = replace(state, family=family, loops=loops, known_system=system)
         return state.computed[self.path]  # type: ignore[no-any-return]

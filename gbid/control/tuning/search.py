@@ -151,6 +151,8 @@ class SearchTask:
 
 GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
+NORM_GRID = {1: 25, 2: 9, 3: 5}
+"""The same where only peaks of responses count: their nodes cost more, and eigenvalues bound none of them."""
 
 
 def on_grid(n_gains: int, options: SearchOptions) -> bool:
@@ -207,7 +209,7 @@ class LocalSearch:
         if self.free:
             return self.full(start)
         if self.norms:  # curved valleys need their curvature, and the first steps a length that fits the gains
-            effort = LocalOptions(1.0, 2 * self.options.short, unit=self.unit, repair=False, target=target, pace=0.02)
+            effort = LocalOptions(1.0, 2 * self.options.short, unit=self.unit, repair=False)
             return self._stable_end(start, start, effort)
         effort = LocalOptions(0.02 if again else 0.1, self.options.short, not again, repair=False)
         return self._stable_end(start, start, replace(effort, target=target, pace=self.options.pace))
@@ -685,7 +687,7 @@ def search(problem: GainProblem, task: SearchTask) -> GainSolution:
     local = LocalSearch(problem, gain_units(problem, given[0]), options)
     gridded = on_grid(d, options)
     if gridded:
-        starts = grid_starts(problem, given[0], local.unit, GRID[d], options.nodes)
+        starts = grid_starts(problem, given[0], local.unit, (NORM_GRID if local.norms else GRID)[d], options.nodes)
     else:
         by_default = (24 if d <= 12 else 12) if local.free else (16 if d <= 8 else 8)
         n_starts = by_default if options.starts is None else options.starts
