@@ -41,6 +41,21 @@ def test_a_plant_in_other_units_has_the_same_design(seeds):
                 assert design.value == pytest.approx(design.worst.damping, rel=1e-9)
 
 
+@pytest.mark.parametrize(("stiffness", "damping"), [(25.0, 0.4), (0.0, 20.0), (0.0, 0.0)])
+def test_default_bounds_of_a_derivative_gain_follow_the_plant(stiffness, damping):
+    bounds, reached = [], []
+    for slower in (1.0, 100.0):
+        A = np.array([[0.0, 1.0], [-stiffness, -damping]])
+        plant = gbid.LinearModel(A / slower, np.array([[0.0], [20.0]]) / slower, np.eye(1, 2), np.zeros((1, 1)))
+        law = gbid.controller_structure("PD", axes=("",), feedback="negative", upper=100.0, lowpass_hz=150 / slower)
+        design = gbid.tune(plant, law, objective="decay")
+        bounds.append(design.controller.parameters[1].upper / slower)
+        reached.append(design.gains["kd"] / slower)
+    assert bounds[0] == pytest.approx(bounds[1])
+    assert min(reached) > 1e3 * 2 / 150  # far above the 3 ms of the bearing, and inside
+    assert max(reached) < 0.99 * bounds[0]
+
+
 def test_bounds_in_other_units_are_named_as_the_reason():
     design = gbid.tune(unstable_plant(0, 1e-9), PD, goals=GOALS)
     assert design.status == "no stabilising gains"

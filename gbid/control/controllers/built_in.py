@@ -440,6 +440,9 @@ class PStructure(Proportional):
     name: str = "P"
 
 
+_KD_LIMIT_MS = 3.0
+
+
 @dataclass(frozen=True)
 class PDStructure(Proportional):
     r"""Decentralised proportional and derivative controller; the low-pass makes it proper.
@@ -454,8 +457,9 @@ class PDStructure(Proportional):
         As in `PStructure`; the order is at least 1.
     lower, upper : float
         Bounds of the proportional gains [m/m].
-    kd_limit_ms : float
-        Bound on the magnitude of the derivative gains [ms].
+    kd_limit_ms : float, optional
+        Bound on the magnitude of the derivative gains [ms]. By default 3 ms, and where `gbid.tune` has a plant that is
+        no LPV model, the bound of kappa over the plant's slowest oscillation [rad/s].
     derivative_khz : (lowest, highest), optional
         Bounds of the corner of a filter of the derivative alone, ``kd s / (1 + s / w)``, which is then the gain
         ``corner`` [kHz]. The order of the low-pass may then be 0.
@@ -463,7 +467,7 @@ class PDStructure(Proportional):
         See `gbid.control.controllers.built_in.PerAxis`; the schedule sets the speed.
     """
 
-    kd_limit_ms: Positive = 3.0
+    kd_limit_ms: Positive | None = None
     derivative_khz: PositiveRange | None = None
     name: str = "PD"
 
@@ -477,7 +481,11 @@ class PDStructure(Proportional):
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         corner = () if self.derivative_khz is None else (gain_within("corner", 0.5, self.derivative_khz, "kHz", True),)
-        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"), *corner)
+        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms or _KD_LIMIT_MS, "ms"), *corner)
+
+    def at_rate(self, rate: float) -> Self:
+        """Return the structure whose derivative may act as strongly as kappa at a rate [rad/s], unless bounded."""
+        return replace(self, kd_limit_ms=self.kd_limit_ms or 1e3 * max(-self.lower, self.upper) / rate)
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
         if self.derivative_khz is not None:
@@ -531,8 +539,8 @@ class PIDStructure(PDStructure, PIStructure):
 
     Parameters
     ----------
-    kd_limit_ms : float
-        Bound on the magnitude of the derivative gains [ms].
+    kd_limit_ms
+        As in `PDStructure`.
     lower, upper, ki, lowpass_hz, order, tune_corner, axes
         As in `PIStructure`; the order is at least 1.
     """

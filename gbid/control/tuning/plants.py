@@ -605,6 +605,17 @@ class ModelPlants(Plants):
         """Slowest decay rate [1/s] of each plant, over the oscillatory modes that feedback can move."""
         return tuple(slowest_mode(model.poles(), self.unmoved) for model in self.models)
 
+    @property
+    def rate(self) -> float:
+        """Slowest oscillation of any model [rad/s]; else the mean of its poles; sqrt(b) of b/s^2."""
+        poles = np.concatenate([model.poles() for model in self.models])
+        poles = poles[np.abs(poles) > 1e-9 * np.abs(poles).max(initial=0.0)]
+        pairs = np.abs(poles[~is_real(poles)])
+        if len(poles):
+            return float(pairs.min() if len(pairs) else np.exp(np.log(np.abs(poles)).mean()))
+        gains = [np.linalg.norm(m.C @ np.linalg.solve(1j * np.eye(len(m.A)) - m.A, m.B)) for m in self.models]
+        return float(np.sqrt(min(gains))) or 1.0
+
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Points, and the names of the models."""
         labels = [self.models[int(i)].name for i in points[:, -1]]

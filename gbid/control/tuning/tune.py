@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid.control.controllers.built_in import PDStructure
 from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import limits_of
 from gbid.control.tuning.plants import (
@@ -144,6 +145,8 @@ def tuned(
     over = getattr(model, "domain", None) if not speeds else Domain((0.0, 0.0), (min(speeds), max(speeds)))
     structure = with_schedule(structure, over)
     plants = plants_of(model, structure, options)
+    if isinstance(plants, ModelPlants) and isinstance(structure, PDStructure):
+        structure = structure.at_rate(plants.rate)
     box = _gain_bounds(structure, options.bounds)
     if options.goals is None:
         plants = plants.within(*box[:2], Limits(options.objective), box[2])
