@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, solve_discrete_are
 
 import gbid
 from gbid.structure import LinearStructure, Parameter
@@ -68,3 +68,36 @@ def test_what_is_missing_is_named(seed, missing):
         assert not told
     else:
         assert NAMED[missing] in told[0]
+
+
+AIRCRAFT = {"za": -1.2, "ma": 3.0, "mq": -1.0, "md": -8.0}
+PITCH = LinearStructure(
+    "unstable short period",
+    [Parameter(name, value * off) for (name, value), off in zip(AIRCRAFT.items(), (1.2, 0.8, 1.3, 0.9), strict=True)],
+    lambda p: {"A": [[p.za, 1], [p.ma, p.mq]], "B": [[0], [p.md]], "C": [[1, 0], [0, 1]]},
+)
+
+
+def flown(ramps, seed):
+    """Pitch of an unstable aircraft under a state feedback; the elevator ramps between samples, or holds."""
+    random = np.random.default_rng(seed)
+    A, B = np.array([[AIRCRAFT["za"], 1], [AIRCRAFT["ma"], AIRCRAFT["mq"]]]), np.array([[0], [AIRCRAFT["md"]]])
+    step, F = (expm(h * np.block([[A, B], [np.zeros((1, 3))]])) for h in (H / FINE, H))
+    P = solve_discrete_are(F[:2, :2], F[:2, 2:], np.eye(2), np.eye(1))
+    law = np.linalg.solve(1 + F[:2, 2:].T @ P @ F[:2, 2:], F[:2, 2:].T @ P @ F[:2, :2])[0]
+    stick, x, u, y = np.repeat(random.choice([-1.0, 1.0], N // 8), 8), np.zeros(2), np.zeros(N), np.zeros((N, 2))
+    for k in range(N):
+        y[k] = x + 0.01 * random.normal(size=2)
+        after = stick[k] + 0.3 * random.normal() - law @ y[k]
+        for share in (np.arange(FINE) + 0.5) / FINE * ramps:
+            x = step[:2, :2] @ x + step[:2, 2] * (u[k] + (after - u[k]) * share)
+        u[min(k + 1, N - 1)] = after
+    return gbid.Recording({"u": u, "y": y}, H, name="flight")
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
+def test_the_hold_of_an_unstable_aircraft_is_named(seed):
+    for ramps in (True, False):
+        told = [note for note in gbid.fit(PITCH, flown(ramps, seed)).notes if "GB144" in note]
+        assert len(told) == ramps
+        assert all(NAMED["hold"] in note for note in told)
