@@ -54,7 +54,7 @@ from gbid.report.read import MadeFit, Results, StageResults
 from gbid.report.views import (
     converged_words,
     design_lines,
-    mode_rows,
+    modes_by_point,
     note_rows,
     notes_by_kind,
     outcome_words,
@@ -616,7 +616,7 @@ def summary_section(results: Results, links: list[Link], pictures: Pictures) -> 
     lines += [line for design in document["tuning"] for line in design_lines(design)]
     blocks.append(Listed([converged_words(document["fits"]), *lines] if results.fits else lines))
     blocks = [Gallery([*_lead(results, pictures), Gallery(blocks)])]
-    if modes := mode_rows(document["fits"], points_of(results.experiment)):
+    if modes := modes_by_point(document["fits"], points_of(results.experiment)):
         columns = [Column(head) for head in ("fit", "operating point", "mode", "models", "frequency [Hz]", "damping")]
         title = "Modes: means over the models, with the 95 % interval of one model"
         table = Table(title, columns, [(q.fit, q.point, q.number, q.models, *q.formatted()) for q in modes])

@@ -264,7 +264,7 @@ def summary_lines(document: Document, points: Mapping[str, str]) -> list[str]:
     fits, lines = document["fits"], []
     if fits:
         lines.append(f"{converged_words(fits)}; modes with 95 % intervals:")
-        modes = mode_rows(fits, points)
+        modes = modes_by_point(fits, points)
         lines += _few([mode.line() for mode in modes] if len(modes) <= _LINES else _mode_ranges(modes))
     lines += [line for begin, words in outcome_words(document) for line in _wrapped(begin, words)]
     lines += _few([line for design in document["tuning"] for line in design_lines(design)])
@@ -353,7 +353,7 @@ class ModeRow(NamedTuple):
         return f"  {self.fit} {self.point}{models}: {frequency} Hz, damping {damping}"
 
 
-def mode_rows(fits: Sequence[Row], points: Mapping[str, str]) -> list[ModeRow]:
+def modes_by_point(fits: Sequence[Row], points: Mapping[str, str]) -> list[ModeRow]:
     """Return the modes of the converged fits by fit and operating point.
 
     Parameters

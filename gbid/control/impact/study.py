@@ -419,14 +419,14 @@ class ImpactStudy(Brief, hdf5.InFile):
             "impacts": ring.n_impacts,
             "lag_rates": ring.lag_rates.tolist(),
             "residual_rms": ring.residual_rms.tolist(),
-            "modes": mode_rows(self),
+            "modes": impact_mode_rows(self),
             "responses": response_rows(self),
         }
 
     def tables(self) -> list[Table]:
         """Return the tables of expected and obtained modes, of the responses, and of the motion after an impact."""
         where = f"{point_label(self.conditions['pressure_bar'], self.conditions['speed_rpm'])}: {self.loop}"
-        modes = mode_rows(self)
+        modes = impact_mode_rows(self)
         rows: list[list[Entry]] = []
         for words, source, more in _SOURCES:
             if self.controller or source != "running_{}":
@@ -459,7 +459,7 @@ _SOURCES = (
     ("obtained from the impacts", "obtained_{}", 2),
     ("  standard deviation", "obtained_{}_std", 2),
 )
-"""Rows of the table of modes: words, key in `mode_rows`, and further decimals."""
+"""Rows of the table of modes: words, key in `impact_mode_rows`, and further decimals."""
 _RESPONSE = {
     "recording": Column("recording"),
     "impacts": Column("impacts", format="d"),
@@ -522,7 +522,7 @@ def study_impacts(
     )
 
 
-def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
+def impact_mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
     """Return rows of expected and identified modes, one for each mode; names have their units in brackets."""
     ring = study.ringdown
     return [

@@ -276,9 +276,9 @@ def _csv_tasks(job: Job, outcomes: Sequence[Outcome]) -> list[Task]:
 
 
 def _write_csv(job: Job, part: Path, table: str, studies: Sequence[str]) -> None:
-    from gbid.control.impact.study import mode_rows, response_rows
+    from gbid.control.impact.study import impact_mode_rows, response_rows
 
-    rows_of = mode_rows if table == "impacts" else response_rows
+    rows_of = impact_mode_rows if table == "impacts" else response_rows
     rows = [row for name in studies for row in rows_of(load(job.path(FOLDER, name), control.ImpactStudy))]
     write_csv(table_of_records(rows), part)
 
