@@ -131,6 +131,11 @@ class Attempt:
         """Whether the fit converged to a reliable minimum, with a free disturbance gain estimated."""
         return self.result.success and not (self.doubtful or self.held)
 
+    @property
+    def questionable(self) -> bool:
+        """Whether the residuals leave room for another minimum: strongly correlated, or following an input."""
+        return self.doubtful or self.result.trusted == "none"
+
     def agrees(self, others: Sequence[Attempt]) -> bool:
         """Return whether the fit converged, and another attempt reached an equal loss."""
         losses = [other.loss for other in others if other.result.success]
@@ -179,7 +184,7 @@ def best_attempt(task: FitTask) -> FitResult:
 
     Where its residuals follow an input, a note names effect that may be missing.
     """
-    attempt = _best_attempt(task)
+    attempt = with_other_delays(task, _best_attempt(task))
     result = attempt.result
     if not any(kind.value in note for kind in _MISSING for note in result.notes):
         return result
@@ -203,7 +208,7 @@ def _best_attempt(task: FitTask) -> Attempt:
     attempts += [first] if first else []
     if first:
         # a local minimum leaves something out as well
-        good = first.good and (nonlinear or first.result.trusted != "none")
+        good = first.good and (nonlinear or not first.questionable)
         final = good or not (may_restart or first.held) or first.result.status is FitStatus.NOT_DETERMINED
         if final:
             return first
@@ -396,10 +401,83 @@ def _lowest(attempts: Sequence[Attempt]) -> Attempt:
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes.append(FitNote.SHAFT(text))
     others = [each for each in attempts if each is not best]
-    coloured = best.doubtful or (others and best.result.trusted != "white")
-    if best.result.success and coloured and not best.agrees(others):
+    if best.result.success and (best.doubtful or (others and best.questionable)) and not best.agrees(others):
         notes.append(FitNote.OTHER_MINIMUM(_DOUBTFUL))
     return replace(best, result=best.result.noted(*notes))
+
+
+# ---- Delays behind inputs that nearly repeat: whole and half periods away the fit has other minima.
+
+_REPEATS = 0.5  # least magnitude of an input's correlation with itself at a lag that counts as (half) a period
+_ROUNDS = 8
+_CHANCE = 3.0  # difference of log-likelihoods within which noise decides between two delays
+
+
+def with_other_delays(task: FitTask, attempt: Attempt) -> Attempt:
+    """Return the attempt of lowest loss after moves of single delays by half and whole periods of their inputs.
+
+    Only delays behind inputs that nearly repeat have other minima so far away; other inputs cost one spectrum. A note
+    names moves that lead to nearly the same loss.
+    """
+    lags = delay_lags(task) if attempt.result.success and attempt.loss > 0 else {}
+    first, close = attempt, set[str]()
+    for _ in range(_ROUNDS if lags else 0):
+        best, close = attempt, set[str]()
+        for q in attempt.optimum.problem.parameters:
+            for lag in lags.get(q.name, ()):
+                values = {name: v for name, v in attempt.result.parameters.items() if "[" not in name}
+                delay = values[q.name] + lag
+                if not q.lower <= delay <= q.upper:
+                    continue
+                other = solved(
+                    task.problem({**attempt.result.start, **values, q.name: delay}, attempt.optimum.problem.window)
+                )
+                size, here = other.optimum.shooting.likelihood_size, attempt.result.parameters[q.name]
+                if not other.result.success or abs(other.result.parameters[q.name] - here) < abs(lag) / 4:
+                    continue
+                if other.loss < best.loss:
+                    best = other
+                elif 0.5 * log(other.loss / attempt.loss) * size < _CHANCE:
+                    close.add(f"{q.name} = {other.result.parameters[q.name]:.4g}")
+        if best is attempt:
+            break
+        attempt = best
+    if attempt is not first:
+        text = "the fit began with a delay moved by a period of its input, which led to a lower loss"
+        attempt = _lowest([attempt.noted(FitNote.BEGUN_ELSEWHERE(text)), first])
+    if close:
+        text = f"inputs that nearly repeat do not tell delays apart: {', '.join(sorted(close))} fits as well"
+        attempt = attempt.noted(FitNote.OTHER_MINIMUM(text))
+    return attempt
+
+
+def delay_lags(task: FitTask) -> dict[str, tuple[float, ...]]:
+    """Return the moves [s] of each delay parameter at which its input nearly repeats, to both sides."""
+    linear = kind_of(task.structure).linear
+    if linear is None or not task.data.records or task.data.is_irregular:
+        return {}
+    p, m = symbolic_matrices(linear)
+    if not m.has_delay:
+        return {}
+    record = max(task.data.records, key=lambda each: each.n_samples)
+    rows = np.array(ca.DM(ca.jacobian(m.delay, p).sparsity(), 1)) != 0
+    lags: dict[str, tuple[float, ...]] = {}
+    for j, q in enumerate(linear.parameters):
+        for i in np.flatnonzero(rows[:, j]):
+            away = [k * task.data.sample_time for k in _repeats(record.inputs[:, i])]
+            lags[q.name] = (*lags.get(q.name, ()), *away, *(-lag for lag in away))
+    return {name: values for name, values in lags.items() if values}
+
+
+def _repeats(u: FloatArray) -> list[int]:
+    """Return the first two lags [samples] at which a signal nearly repeats, or repeats with the other sign."""
+    n, u = len(u), u - u.mean()
+    spectrum = np.fft.rfft(u, 2 * n)
+    r = np.fft.irfft(spectrum * spectrum.conj())[: n // 2] / np.arange(n, n - n // 2, -1)
+    size = np.abs(r) / max(r[0], 1e-300) if n > 3 else np.zeros(1)
+    first = int(np.argmax(size < _REPEATS))  # the main lobe
+    peaks = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]) & (size[1:-1] > _REPEATS)) + 1
+    return [int(k) for k in peaks[peaks > first][:2]] if first else []
 
 
 _ROUGHLY = 50  # iterations: start values need not be exact

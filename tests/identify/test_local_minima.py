@@ -65,3 +65,37 @@ def test_a_local_minimum_is_left_or_named(case):
     named = any("GB111" in note for note in result.notes)
     assert result.success
     assert named or result.loss <= lowest.loss * 1.001
+
+
+THREE = {"w": 25.0, "z": 0.05, "g1": 1.0, "g2": 0.8, "g3": 1.2, "tau1": 0.1, "tau2": 0.17, "tau3": 0.05}
+BEHIND_THREE = LinearStructure(
+    "a mode behind three delays",
+    [
+        *(Parameter(name) for name in ("w", "z", "g1", "g2", "g3")),
+        *(Parameter(f"tau{i}", None, 0, 1.5) for i in (1, 2, 3)),
+    ],
+    lambda p: {
+        "A": [[0, 1], [-(p.w**2), -2 * p.z * p.w]],
+        "B": [[0] * 3] * 2,
+        "B_delayed": [[0] * 3, [g * p.w**2 for g in (p.g1, p.g2, p.g3)]],
+        "delay": [p.tau1, p.tau2, p.tau3],
+        "C": [[1, 0]],
+    },
+    "u",
+    "y",
+)
+
+
+@pytest.mark.parametrize("periods", [(1, 0, 0), pytest.param((1, 1, 0), marks=pytest.mark.slow)])
+def test_delays_off_by_periods_of_their_inputs_are_left_or_named(periods):
+    random, t = np.random.default_rng(5), H * np.arange(N)
+    tones = [((1, 3.5 + 0.2 * i), (0.1, 3.1 + 0.2 * i)) for i in range(3)]
+    u = np.stack([sum(a * np.sin(2 * np.pi * f * t + random.uniform(0, 6)) for a, f in each) for each in tones], axis=1)
+    y = evaluate(BEHIND_THREE, THREE).simulate(u, H)
+    recording = Recording({"y": y + 0.3 * y.std() * random.normal(size=y.shape), "u": u}, H, name="run")
+    lowest = fit(BEHIND_THREE, recording, start=THREE, focus="simulation")
+    away = {f"tau{i + 1}": THREE[f"tau{i + 1}"] + k / tones[i][0][1] for i, k in enumerate(periods)}
+    result = fit(BEHIND_THREE, recording, start={**THREE, **away}, focus="simulation")
+    assert result.success
+    assert any("GB111" in note and "tau1 =" in note for note in result.notes)  # a period of tau1 is hidden by the noise
+    assert result.loss <= lowest.loss * 1.002
