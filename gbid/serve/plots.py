@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import GbidError
+from gbid.core.errors import DataError, GbidError
 from gbid.experiment.schema import Kind
 from gbid.prefilter.filtering import repair_overloads
 from gbid.recording import Recording
@@ -46,7 +46,7 @@ def plots_of(
         channels [{name, unit, role, why}], timed (whether times are known), n_samples, sample_time [s], lines [{name,
         unit, low, high}] over the whole file, spectra [{name, y}] up to half the sampling rate, orbit {x, y, unit} or
         None, speed_rpm over the file, problems and remarks in the words of `gbid check`, and fault: why the mapping
-        does not fit, in which case the columns are shown as without one.
+        or the clock does not fit, in which case the columns are shown as they are.
 
     Raises
     ------
@@ -62,7 +62,11 @@ def plots_of(
         except GbidError as error:
             fault = str(error)
     if rec is None:
-        rec = _recording(path, {"signals": {}}, channels, roles.time)
+        try:
+            rec = _recording(path, {"signals": {}}, channels, roles.time)
+        except DataError as error:  # of its clock, perhaps: shown over the number of the sample
+            fault = fault or str(error)
+            rec = _recording(path, {"signals": {}, "sample_time_s": 1.0}, channels, roles.time)
         looked_at = [_key(name) for name in roles.signals.get("p", ()) if _key(name) in rec.signals]
         problems = find_problems(rec, looked_at)
     else:
@@ -83,7 +87,7 @@ def plots_of(
             for channel in channels
             for role, why in [roles.columns[channel.name]]
         ],
-        "timed": roles.time is not None or rec.sample_time != 1.0,
+        "timed": rec.sample_time != 1.0 or bool(roles.time and not fault),
         "n_samples": rec.n_samples,
         "sample_time": rec.sample_time,
         "lines": [{"name": name, "unit": unit, **_extremes(values)} for name, (unit, values) in named.items()],

@@ -19,8 +19,9 @@ from ruamel.yaml import YAML
 from gbid import load
 from gbid.experiment.load import load_experiment
 from gbid.lpv import load_model
-from gbid.recording.importing import import_recording
+from gbid.recording.importing import import_recording, list_channels
 from gbid.serve import open_bench
+from gbid.serve.plots import plots_of
 
 N, DT = 3000, 4e-4
 NAMES = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
@@ -128,6 +129,16 @@ def test_what_is_wrong_in_a_file_is_said_in_the_words_of_check(served, folder):
     (folder / EXCITED).unlink()
     assert "cannot be read: No such file" in refused(server, "plots", file=EXCITED)
     assert "cannot be read" in refused(server, "plots", file="../runs/../secret.csv")  # only names of this folder
+
+
+def test_a_file_with_a_faulty_clock_is_shown_over_its_samples(folder):
+    channels = list_channels(folder / EXCITED)  # of a long text its first rows decide
+    rows = np.loadtxt(folder / EXCITED, delimiter=";", skiprows=1)
+    rows[2000:, 0] = rows[2000, 0]
+    np.savetxt(folder / EXCITED, rows, "%.7g", ";", header=NAMES, comments="")
+    shown = plots_of(folder / EXCITED, channels, None)
+    assert "time column 't' does not rise at sample" in shown["fault"]
+    assert (shown["timed"], shown["n_samples"]) == (False, N)
 
 
 def test_open_questions_are_asked_and_answers_go_on(served, folder):
