@@ -415,7 +415,15 @@ class Chain(Brief):
         return (*SCHEDULING, *self.further)
 
     def row(self, table: GridTable, point: Sequence[float]) -> list[float]:
-        """Return the row of a table at the values of `scheduling`."""
+        """Return the row of a table at an operating point.
+
+        Parameters
+        ----------
+        table : GridTable
+            Table of the chain.
+        point : sequence of float
+            Values of the variables of `scheduling`.
+        """
         return table.row(*(point[self.scheduling.index(name)] for name in table.axes))
 
     @property

@@ -150,7 +150,13 @@ class Domain:
         return self.ranges["speed_rpm"]
 
     def label(self, *point: float) -> str:
-        """Return the label of an operating point, see `gbid.core.arrays.point_label`."""
+        """Return the label of an operating point, see `gbid.core.arrays.point_label`.
+
+        Parameters
+        ----------
+        *point : float
+            Scheduling variables.
+        """
         return point_label(*point, variables=self.variables)
 
     @property
@@ -465,12 +471,23 @@ class LPVModel(Brief):
         return with_pade(self._evaluate(structure, values, place, *self.channels(structure)))
 
     def channels(self, plant: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the names of the inputs and outputs of `plant_structure`."""
+        """Return the names of the inputs and outputs of a plant.
+
+        Parameters
+        ----------
+        plant : Structure
+            Equations from `plant_structure`.
+        """
         piezos = (("r_x", "r_y"), ("p_x", "p_y"))
         return piezos if isinstance(plant, Plant) else (self.input_names, self.output_names)
 
     def plant_structure(self, pade_order: int | None) -> Structure:
-        """Return the equations of `plant_at`, with exact delays for the order None.
+        """Return the equations of `plant_at`.
+
+        Parameters
+        ----------
+        pade_order : int, optional
+            Order of the approximation of the delays of a gas bearing; exact delays for None.
 
         Raises
         ------

@@ -232,6 +232,8 @@ class Surface(Brief):
         Estimates at these points.
     at_points : (n_points,) array
         Values of the model at these points.
+    variables : (str, str)
+        Names of the two scheduling variables, where they are not pressure and speed.
     """
 
     name: str
