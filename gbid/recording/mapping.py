@@ -190,7 +190,7 @@ class SignalMapping:
         if self.calibration is not None:
             return tuple(_each("calibration", self.calibration, len(self.columns)))
         scales = _each("scale", 1.0 if self.scale is None else self.scale, len(self.columns))
-        offsets = _each("offset", self.offset or 0.0, len(self.columns))
+        offsets = _each("offset", 0.0 if self.offset is None else self.offset, len(self.columns))
         if 0 in scales:
             raise UsageError("scale = 0; give what one unit of the numbers in the file is in the unit of the signal")
         return tuple(Calibration(((0.0, b), (1.0, a + b))) for a, b in zip(scales, offsets, strict=True))
@@ -359,7 +359,7 @@ def _calibration(value: Any) -> Any:
 
 def _each(key: str, value: Any, count: int) -> tuple[Any, ...]:
     """Return a value for each column, from one value or from a list."""
-    values = tuple(value) if isinstance(value, list | tuple) else (value,) * count
+    values = tuple(value) if isinstance(value, list | tuple | np.ndarray) else (value,) * count
     if len(values) != count:
         raise UsageError(f"{key}: {len(values)} for {count} columns; give one for all columns, or one for each")
     return values

@@ -52,6 +52,9 @@ def test_a_value_of_another_type_is_named():
     mapping = {"time": "t", "signals": {"y": {"columns": ["a"], "hold": np.zeros((2, 2))}}}
     with pytest.raises(UsageError, match="hold"):
         ImportMapping.from_dict(mapping)
+    for key in ("scale", "offset"):
+        with pytest.raises(UsageError, match=f"{key}: 0 for 1 columns"):
+            ImportMapping(signals={"y": {"columns": ["a"], "unit": "m", key: np.zeros(0)}})
     with pytest.raises(UsageError, match="signals = nan; give a dict by name"):
         gbid.Recording.from_frame(pd.DataFrame({"a": [1.0, 2.0]}), math.nan, sample_time=1e-3)
 
