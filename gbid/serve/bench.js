@@ -425,8 +425,10 @@
   }));
   at("cancel").addEventListener("click", act(async () => showRun(await ask("cancel", {}))));
   at("export").addEventListener("click", act(async () => {
+    at("told").textContent = "Exporting …";
     const made = await ask("export", {});
     items("exported", [...made.said, ...made.files]);
+    at("told").textContent = "Exported.";
   }));
   at("more").addEventListener("toggle", () => state.shown && showPlots());
   window.addEventListener("error", (event) => fault(event.message));

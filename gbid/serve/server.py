@@ -607,9 +607,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, kind: str, answer: Callable[[], str]) -> None:
         try:
-            self._send(HTTPStatus.OK, kind, answer())
+            status, text = HTTPStatus.OK, answer()
         except GbidError as error:
-            self._send(HTTPStatus.BAD_REQUEST, _TEXT, str(error))
+            status, kind, text = HTTPStatus.BAD_REQUEST, _TEXT, str(error)
+        except Exception as error:
+            self._send(HTTPStatus.INTERNAL_SERVER_ERROR, _TEXT, f"a defect of gbid: {error!r}; its terminal tells more")
+            raise
+        self._send(status, kind, text)
 
     def _send(self, status: HTTPStatus, kind: str, text: str) -> None:
         body = text.encode()

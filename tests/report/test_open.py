@@ -219,6 +219,14 @@ def test_only_those_with_the_token_and_only_own_pages_act(served):
     assert "missing a required argument: 'file'" in refused(server, "plots")
 
 
+def test_a_defect_is_told_to_the_page_and_the_terminal(served, monkeypatch, capfd):
+    server, _ = served
+    monkeypatch.setattr("gbid.serve.bench.check_experiment", lambda *_: 1 / 0)
+    text = post(server, "draft", answers=[])["text"]
+    assert "a defect of gbid: ZeroDivisionError" in refused(server, "check", text=text)
+    until(lambda: "Traceback" in capfd.readouterr().err)
+
+
 def test_a_run_is_followed_cancelled_and_resumed(served, monkeypatch):
     server, bench = served
     text = post(server, "draft", answers=[])["text"]
@@ -348,7 +356,8 @@ def test_a_folder_becomes_compiled_c_by_clicks(write_folder, answers, clicks, br
         page.click(by_id("run"))
         page.until(f"{by_id('progress')}.textContent.startsWith('Done')", 900)
         page.click(by_id("export"))
-        page.until(f"{by_id('exported')}.children.length")
+        page.until(f"{by_id('told')}.textContent.startsWith('Export')")
+        page.until(f"{by_id('exported')}.children.length", 900)
         assert re.search("compiled; its test says: .*all .* rows agree", page.text("exported"))
         assert page.clicks == clicks
     finally:
