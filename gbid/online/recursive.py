@@ -339,7 +339,7 @@ class RecursiveFit:
         """Refuse a forgetting time that is too short, and bounds within which loop or predictor are unstable."""
         t, n = self.tables, len(self._places)
         self.memory_s = _memory(t.F, self.sample_time)
-        if self.forgetting_s < MEMORIES * self.memory_s:
+        if self.forgetting_s < (1 - 1e-6) * MEMORIES * self.memory_s:
             raise UsageError(
                 f"RecursiveFit: forgetting_s = {self.forgetting_s:g} s is shorter than ten memories of the predictor "
                 f"({MEMORIES * self.memory_s:.3g} s); forget more slowly, or give a shorter memory_s",
