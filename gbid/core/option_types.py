@@ -431,7 +431,7 @@ def _alternatives(kind: Any) -> tuple[Any, ...]:
 
 
 def _array_kind(hint: Any) -> str:
-    """Return the ``numpy.dtype.kind`` of a type of arrays; "c" for values that are converted to an array."""
+    """Return the ``numpy.dtype.kind`` of a type of arrays; "c" (complex) for values that become an array."""
     if hint is ArrayOfNumbers:
         return "c"
     return np.dtype(next(iter(get_args(type_parts(hint)[1][1])), object)).kind

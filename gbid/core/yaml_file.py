@@ -205,7 +205,7 @@ def _change(data: Any, keys: str, value: Any) -> None:
             rest = rest[len(key) + 1 :]
             key = next((k for k in node if str(k) == key), key)
         else:
-            raise UsageError(f"--set {keys}: {rest!r} lies below a value, not below a section; name a key of the file")
+            raise UsageError(f"--set {keys}: {rest!r} is a key within a value; name a key of the file")
         if not rest:
             node[key] = value
             return

@@ -211,8 +211,8 @@ def recording_length(
         needed = excitation.duration_s * over[decisive] ** 2
         if not needed <= longest_s:
             raise UsageError(
-                f"{decisive} to {targets[decisive]:.3g} needs {needed:.3g} s, longer than longest_s = {longest_s:g} s; "
-                "allow more amplitude or time, or less certainty"
+                f"a standard deviation of {targets[decisive]:.3g} for {decisive} needs {needed:.3g} s, "
+                f"longer than longest_s = {longest_s:g} s; allow more amplitude, time or deviation"
             )
         if over[decisive] <= 1.0 and (duration > _FIRST_S or needed > 0.7 * duration or duration <= _SHORTEST_S):
             break

@@ -117,7 +117,7 @@ class ExcitationLimits:
         check_options(self, "limits")
         if self.clearance is None:
             if self.machines:
-                raise UsageError("limits: machines are for the clearance; give it")
+                raise UsageError("limits: machines are used with a clearance only; give the clearance, too")
             return
         most = max([self.taken, *(machine.taken for machine in self.machines)])
         if self.clearance <= most:

@@ -40,7 +40,7 @@ class Waves:
         self._first = np.cumsum([0, *(each.response.shape[1] for each in limited)])[:-1]
 
     def norm(self, spectrum: ComplexArray, exponent: float) -> tuple[float, ComplexArray]:
-        """Return a p-norm of all signals over time, which tends to the largest peak, and its gradient by the spectrum.
+        """Return the p-norm of all signals over time, for large p the largest peak, and its gradient in the spectrum.
 
         The slope g is that of ``norm(U + dU) = norm(U) + Re sum conj(g) dU``.
         """

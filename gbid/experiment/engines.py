@@ -554,7 +554,7 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
     if scheduler is not None and workers is not None:
         raise UsageError("a scheduler has its own workers; leave the number of workers out")
     if workers is not None and name == "serial":
-        raise UsageError("the engine serial is this process alone; leave the number of workers out, or choose pool")
+        raise UsageError("the engine 'serial' has no workers; leave the number of workers out, or choose 'pool'")
     affinity = getattr(os, "sched_getaffinity", None)  # missing on some systems
     count = workers or (len(affinity(0)) if affinity else os.cpu_count() or 1)
     if name == "dask" or scheduler is not None:

@@ -141,7 +141,7 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1)]
 
 
 class OperatingPoint(Place):
-    """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
+    """Operating point of the rig, with a number of PRBS recordings where the point needs its own."""
 
     prbs_recordings: LimitedCountOrZero | None = None
 

@@ -178,7 +178,7 @@ class PythonChain:
         return [self.step(each) for each in inputs]
 
     def step(self, given: ChainInput) -> ChainOutput:
-        """Return the output of one sample.
+        """Process one input sample, and return the output of the chain.
 
         Parameters
         ----------

@@ -353,7 +353,7 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
             raise UsageError(f"bearings: {which} {key!r} in the rotor; choose from {choices}")
         if not str(name).isidentifier():
             raise UsageError(
-                f"bearings: {name!r} cannot end the names of parameters; give names, as {{'left': {key!r}}}"
+                f"bearings: {name!r} cannot be the suffix of parameter names; give names, as {{'left': {key!r}}}"
             )
         if matching[0].n_link is not None:
             raise UsageError(

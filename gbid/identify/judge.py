@@ -545,7 +545,7 @@ _APART = 10.0  # times the resolution between two multiples: else a mode is near
 
 
 def parameters_on_bound(judged: Judged) -> Iterator[str]:
-    """Yield a note on each parameter that a bound holds."""
+    """Yield a note on each parameter whose estimate is on a bound."""
     for i in np.flatnonzero(judged.on_bound):
         yield FitNote.ON_BOUND(f"{judged.free[i]} lies on a bound: no standard deviation")
 

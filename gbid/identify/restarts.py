@@ -346,7 +346,7 @@ class Ladder:
         return again.noted(FitNote.WINDOWS_CHANGED(text))
 
     def in_other_windows(self, attempts: list[Attempt]) -> list[Attempt]:
-        """Return further attempts of a nonlinear fit, until one is good or two agree."""
+        """Return fits of a nonlinear structure in windows of other lengths, until one is good or two agree."""
         task, chosen = self.task, self.task.options.window
         states = kind_of(task.structure).anatomy().n_states
         for length in POLICY.apart:

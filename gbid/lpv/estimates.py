@@ -356,5 +356,5 @@ def _finite(estimates: Estimates, reasons: Sequence[str]) -> Estimates:
             keep.append(i)
     if not keep:
         some = "; ".join(left_out[:3]) or "there are none"
-        raise DataError(f"there is no fit to which surfaces can be fitted ({some})")
+        raise DataError(f"no fit can be used for the surfaces: {some}; correct or repeat the fits")
     return replace(estimates.rows(keep), left_out=tuple(left_out))

@@ -94,7 +94,7 @@ def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -
         When the numbers of coefficients and terms differ.
     """
     if len(coefficients) != len(terms):
-        raise UsageError(f"{len(coefficients)} coefficients for {len(terms)} terms")
+        raise UsageError(f"{len(coefficients)} coefficients for {len(terms)} terms; give one for each term")
     return sum(c * t for c, t in zip(coefficients, terms, strict=True))
 
 
@@ -575,7 +575,7 @@ def _check_names(where: str, given: Sequence[str], expected: tuple[str, ...]) ->
     if unknown:
         raise UsageError(f"{where}: {', '.join(unknown)} unknown; choose from {', '.join(expected)}")
     if len(given) > len(expected):
-        raise UsageError(f"{where}: a name is given twice; give coefficients or a value for each of them")
+        raise UsageError(f"{where}: a parameter has both coefficients and a value; give one of the two")
 
 
 def _as_float(value: Any) -> Any:

@@ -454,7 +454,9 @@ class OnlinePrefilter:
         self._map = runout_map
         self._offset = None if offset is None else np.atleast_1d(np.asarray(offset, dtype=float))
         if runout_map is not None and self._offset is not None and self._offset.shape != runout_map.mean.shape:
-            raise UsageError(f"offset has shape {self._offset.shape}, the run-out map {runout_map.mean.shape} channels")
+            raise UsageError(
+                f"offset has shape {self._offset.shape}, the run-out map {runout_map.mean.shape}; give one a channel"
+            )
         self._half = median // 2
         self._window: deque[FloatArray] = deque(maxlen=median)
         self.start()

@@ -612,9 +612,9 @@ class IndexAlignment(Brief):
         """
         if not self.sure:
             raise DataError(
-                f"recording {rec.name!r}: the missing index cannot be found from the run-out: "
+                f"recording {rec.name!r}: the run-out does not determine the missing index of the encoder: "
                 f"{np.rad2deg(self.offset):.1f} or {np.rad2deg(self.next_best):.1f} degrees "
-                f"({self.margin:.1f} standard deviations apart, {self.explained:.0%} explained); "
+                f"fit almost equally ({self.margin:.1f} standard deviations; {self.explained:.0%} explained); "
                 "use a longer recording, or one with the index"
             )
         note = f"{np.rad2deg(self.offset):.3f} degrees added to phi (std {np.rad2deg(self.std):.3f})"

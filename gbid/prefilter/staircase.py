@@ -73,7 +73,7 @@ def find_plateaus(rec: Recording, command: str) -> Plateaus:
     values = rec.signal(command)
     travel = float(np.ptp(values, axis=0).max())
     if travel == 0:
-        raise DataError(f"recording {rec.name!r}: {command} does not move; a staircase steps up and down")
+        raise DataError(f"recording {rec.name!r}: {command} is constant; a staircase needs steps up and down")
     changes = np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3 * travel
     edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(values)]])
     start, stop = edges[:-1], edges[1:]

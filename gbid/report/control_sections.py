@@ -251,7 +251,7 @@ def _by_point(design: AssessedDesign) -> Block:
 
 
 def cycle_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section on the rounds of the cycle; None if the experiment has no cycle."""
+    """Return the section on the rounds of recording, fit and tuning; None if the experiment has no cycle."""
     section = results.experiment.spec.cycle
     if section is None:
         return None

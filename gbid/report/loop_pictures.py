@@ -343,7 +343,7 @@ def plot_magnitudes(
 
 
 def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
-    """Return the designs whose assessment and objective equal those of the first design.
+    """Return the designs that were assessed like the first one and tuned for the same objective.
 
     Raises
     ------

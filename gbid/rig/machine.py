@@ -77,7 +77,7 @@ class FilmStiffening:
 
     @property
     def inverse_square_length(self) -> float:
-        """1/l^2 [1/m^2], the coefficient of the stiffening."""
+        """Coefficient 1/l^2 [1/m^2] by which the stiffness of the film grows with the squared displacement."""
         return self.deviation_m / (self.at_m - self.deviation_m) ** 3
 
 

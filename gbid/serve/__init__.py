@@ -1,4 +1,4 @@
-"""Local web pages: a folder of recordings that becomes an experiment, and results that follow a running campaign."""
+"""Local web pages: one turns a folder of recordings into an experiment, one shows results while a campaign runs."""
 
 from gbid.serve.bench import open_bench
 from gbid.serve.server import Server, open_server

@@ -202,7 +202,7 @@ class Bench:
         if file:
             sections, own = self._sections(text), self._section(text, file)
             if own is None:
-                raise UsageError(f"{self.path}: no mapping for {file}; draft the experiment, or add the file to import")
+                raise UsageError(f"{self.path}: no mapping for {file}; add the file to the section import")
             places = [at for at, each in sections.items() if _at(each, key) == _at(own, key)]
         return {"text": text_with(text, [((*place, *key), value) for place in places])}
 

@@ -167,7 +167,9 @@ class MagneticBearing(Brief):
             raise UsageError(f"{self.name}: amplifier_delay_s = {self.amplifier_delay_s}; 0 to longest_delay_s")
         _, m = symbolic_matrices(self.rotor)
         if m.has_delay or m.D.nnz() or m.K.nnz():
-            raise UsageError(f"{self.name}: the rotor {self.rotor.name!r} has delays, feedthrough or disturbance gains")
+            raise UsageError(
+                f"{self.name}: the rotor {self.rotor.name!r} has delays, feedthrough or disturbance gains; remove them"
+            )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -489,7 +489,7 @@ def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
     for start, stop in left_out:
         if not 0 <= start < stop <= recording.n_samples:
             raise DataError(
-                f"recording {recording.name!r}: left out samples {start} to {stop} are not within its "
+                f"recording {recording.name!r}: samples {start} to {stop} of left_out are not within its "
                 f"{recording.n_samples}; correct them"
             )
         counted[start:stop] = False

@@ -162,7 +162,7 @@ def test_set_gives_a_key_another_value_in_one_command(spring, tmp_path, capsys):
     for change, words in (
         ("fits.spring.tgether=true", "fits.spring.tgether"),
         ("fits.spring.together=often", "fits.spring.together"),
-        ("name.first=a", "lies below a value"),
+        ("name.first=a", "is a key within a value"),
         ("import.recordings.7.name=a", "count from 0"),
         ("fits: [", "expected KEY=VALUE"),
         ("fits=[", "not valid YAML"),

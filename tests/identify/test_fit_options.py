@@ -309,9 +309,9 @@ def test_several_stretches_left_out_and_whole_windows():
 
 LEFT_OUT = {
     "stranger": ({"other": [(0, 5)]}, UsageError, "left_out names recordings that are not fitted: other"),
-    "beyond": ({"data": [(290, 301)]}, DataError, "'data': left out samples 290 to 301 are not within its 300"),
-    "backwards": ({"data": [(30, 20)]}, DataError, "left out samples 30 to 20 are not within"),
-    "negative": ({"data": [(-5, 20)]}, DataError, "left out samples -5 to 20 are not within"),
+    "beyond": ({"data": [(290, 301)]}, DataError, "'data': samples 290 to 301 of left_out are not within its 300"),
+    "backwards": ({"data": [(30, 20)]}, DataError, "samples 30 to 20 of left_out are not within"),
+    "negative": ({"data": [(-5, 20)]}, DataError, "samples -5 to 20 of left_out are not within"),
     "all": ({"data": [(0, 150), (150, 300)]}, DataError, "'data': all samples are left out"),
 }
 

@@ -169,7 +169,7 @@ def test_bearings_that_are_not_named_keep_their_coefficients():
     ("change", "words"),
     [
         ({"bearings": ["middle"]}, "no bearing 'middle' in the rotor; choose from 'left' at node 0, 'right' at node 6"),
-        ({"bearings": {"a b": "left"}}, "'a b' cannot end the names of parameters"),
+        ({"bearings": {"a b": "left"}}, "'a b' cannot be the suffix of parameter names"),
         ({"bearings": {"a": "left", "b": 0}}, "0 is named twice"),
         ({"bearings": {}}, "none is named"),
         ({"sensors": []}, "no sensors"),

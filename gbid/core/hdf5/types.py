@@ -681,7 +681,7 @@ def read_document(path: Path, kind: FileKind) -> Any:
 
 
 def document_in(file: h5py.File) -> Any:
-    """Return the plain values (JSON) that `save` stored with a value, from an open file."""
+    """Return the JSON document that `save` stored beside the fields of a value, from an open file."""
     return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 

@@ -137,7 +137,7 @@ def _value(f: ca.Function, k: int, operation: int, names: list[str]) -> str:
             "nan", '__builtin_nan("")'
         )
     if operation not in _EXPRESSIONS:
-        raise NotImplementedError(f"operation {operation} of casadi")
+        raise NotImplementedError(f"operation {operation} of CasADi has no C code here")
     return _EXPRESSIONS[operation].format(*names)
 
 

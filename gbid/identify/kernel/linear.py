@@ -394,7 +394,7 @@ def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[s
 
 
 def _sum(terms: list[str]) -> str:
-    """Return the sum of terms in C; a zero without terms."""
+    """Return the C expression of a sum; zero for no terms."""
     return " + ".join(terms) if terms else "zero"
 
 

@@ -98,7 +98,7 @@ class NonlinearKernel(SampleKernel):
     def _through(
         self, v: NonlinearValues, x: FloatArray, z: FloatArray
     ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-        """Return states around each integrator step, the outputs, and the errors fed back."""
+        """Return states before and after each integrator step, the outputs, and the prediction errors."""
         output, step = self._mapped("output", len(x)), self._mapped("step", len(x))
         at, yhat, e = (r.copy() for r in output(x[:, None], z[:, None], v.theta, v.known))
         passed = [at]

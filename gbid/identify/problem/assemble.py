@@ -161,7 +161,7 @@ def counted_samples(record: Record, left_out: Sequence[tuple[int, int]]) -> Bool
     counts = np.ones(n, bool)
     for start, stop in left_out:
         if not 0 <= start < stop <= n:
-            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
+            raise DataError(f"recording {record.name!r}: samples {start} to {stop} of left_out are not within its {n}")
         counts[start:stop] = False
     if not counts.any():
         raise DataError(f"recording {record.name!r}: all samples are left out")

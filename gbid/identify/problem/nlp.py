@@ -322,7 +322,7 @@ class Shooting:
 
     @property
     def groups(self) -> tuple[RecordGroup | ResponseGroup, ...]:
-        """Groups of records, then frequency responses."""
+        """Parts of the problem: groups of records, then frequency responses."""
         return *self.parts, *self.responses
 
     @property
