@@ -3,6 +3,8 @@
 import json
 from collections import Counter
 
+from IPython.display import Markdown
+
 from gbid.report.named import paper
 from tests.benchmarks.coverage import coverage_table, missed
 from tests.benchmarks.running import DOCS, markdown
@@ -11,6 +13,11 @@ from tests.benchmarks.running import DOCS, markdown
 def stored(name):
     """Figures of a study, docs/NAME.json."""
     return json.loads((DOCS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def shown(name, table):
+    """Table of a study on its page, from the stored figures docs/NAME.json."""
+    return Markdown(table(stored(name)))
 
 
 def fuzz_table():

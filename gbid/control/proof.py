@@ -105,8 +105,8 @@ def _gram(g: ComplexArray, S: FloatArray) -> tuple[FloatArray, FloatArray, Float
     flat = g.reshape(N, k, n * n)
     x, y = flat.real, flat.imag
     Sx, Sy = S @ x, S @ y
-    parts = ((x * Sx).sum(1), (x * Sy).sum(1), (y * Sy).sum(1))
-    return tuple(part.reshape(N, n, n) for part in parts)  # type: ignore[return-value]
+    xx, xy, yy = ((a * b).sum(1).reshape(N, n, n) for a, b in ((x, Sx), (x, Sy), (y, Sy)))
+    return xx, xy, yy
 
 
 def margins(plants: PlantSet, damping: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -379,7 +379,7 @@ def _steepest(
         change = w @ (loop_matrix(plants, moved) - A) @ V[:, i] / step
         slope[j] = -change.real / abs(pole) + pole.real * (np.conj(pole) * change).real / abs(pole) ** 3
     down = -root.T @ np.outer(slope, np.prod(point**plants.exponents, axis=1)).ravel()
-    return np.asarray(down / max(np.linalg.norm(down), 1e-300))
+    return np.asarray(down / max(float(np.linalg.norm(down)), 1e-300))
 
 
 def _attack(
@@ -424,7 +424,7 @@ def _attack(
     frame: list[FloatArray] = []
     for vector in vectors:
         rest = vector - sum((f * (f @ vector) for f in frame), np.zeros(len(vector)))
-        if np.linalg.norm(rest) > 0.05 * max(np.linalg.norm(vector), 1e-300) and len(frame) < 2:
+        if np.linalg.norm(rest) > 0.05 * max(float(np.linalg.norm(vector)), 1e-300) and len(frame) < 2:
             frame.append(rest / np.linalg.norm(rest))
     return value, point, worst, np.array([(root @ f).reshape(k, t) for f in frame]).reshape(-1, k, t)
 
@@ -509,11 +509,12 @@ def _search(plants: PlantSet, damping: float, deadline: float) -> FloatArray | N
     if not _starts_inside(plants, damping):
         return None
     axes = len(plants.box) + 1 + len(plants.directions)
-    low, high, splits = np.zeros((1, axes)), np.ones((1, axes)), []
+    low, high = np.zeros((1, axes)), np.ones((1, axes))
+    splits: list[FloatArray] = []
     while len(low):
         level = []
         for i in range(0, len(low), _CHUNK):
-            if monotonic() > deadline or sum(map(len, splits)) + len(low) > _MOST_CELLS:
+            if monotonic() > deadline or sum(len(each) for each in splits) + len(low) > _MOST_CELLS:
                 return None
             margin, share = _checked(plants, damping, low[i : i + _CHUNK], high[i : i + _CHUNK])
             level.append(np.where(margin > 0, -1, share.argmax(axis=1)))
@@ -736,7 +737,7 @@ def prove(
     corners = [np.array(corner) for corner in product(*plants.box)]
     places = [*corners, point, *np.array(model.model.operating_points, float).reshape(-1, len(plants.box))]
     nominal = min(_damping(plants, place, plants.coefficients) for place in places)
-    damping, splits = nan, np.zeros(0, np.int8)
+    damping, splits = nan, np.zeros(0)
     gaps = list(_GAPS)
     while gaps and worst > max(least, 0.0) and monotonic() - begin < seconds:
         gap = gaps.pop(0)

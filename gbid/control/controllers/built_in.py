@@ -484,7 +484,18 @@ class PDStructure(Proportional):
         return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms or _KD_LIMIT_MS, "ms"), *corner)
 
     def at_rate(self, rate: float) -> Self:
-        """Return the structure whose derivative may act as strongly as kappa at a rate [rad/s], unless bounded."""
+        """Return the structure with a bound of kd that follows from the plant, unless `kd_limit_ms` is given.
+
+        Parameters
+        ----------
+        rate : float
+            Angular frequency [rad/s] at which the derivative may act as strongly as kappa.
+
+        Returns
+        -------
+        PDStructure
+            Structure with this bound.
+        """
         return replace(self, kd_limit_ms=self.kd_limit_ms or 1e3 * max(-self.lower, self.upper) / rate)
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
