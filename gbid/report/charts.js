@@ -60,6 +60,14 @@ const Charts = (() => {
     return { ...axis, min: axis.min ?? low - room, max: axis.max ?? high + room };
   }
 
+  // Widen the range of one axis, so that both have the same units per pixel in a plane of this ratio of width to height.
+  function equalScales(x, y, ratio) {
+    const missing = (x.max - x.min) / ratio - (y.max - y.min);
+    const [axis, room] = missing > 0 ? [y, missing / 2] : [x, (-missing * ratio) / 2];
+    axis.min -= room;
+    axis.max += room;
+  }
+
   function path(xs, ys, sx, sy) {
     let d = "";
     let down = false;
@@ -129,7 +137,7 @@ const Charts = (() => {
 
   // spec: {title, x, y, height, series: [{name, style, x, y | low, high}], points: [{name, style, kind, x, y}], rays: [damping],
   //        cells: {edges, values, name}, pick(x, y): called with the place of a click,
-  //        used: [from, to] along x, outside of which the plane is shaded, drag(from, to): called with a dragged range of x}
+  //        equal: whether both axes have one scale, used: [from, to] along x, outside of which the plane is shaded, drag(from, to): called with a dragged range of x}
   // An axis: {label, min, max, log, atLeast, atMost}; what is missing follows from the data.
   function draw(host, spec) {
     host.replaceChildren();
@@ -142,6 +150,7 @@ const Charts = (() => {
     const yAxis = fitted(spec.y, all.flatMap((s) => [...Array.from(s.y ?? []), ...Array.from(s.low ?? []), ...Array.from(s.high ?? [])]));
     const right = width - MARGIN.right;
     const bottom = height - MARGIN.bottom;
+    if (spec.equal) equalScales(xAxis, yAxis, (right - MARGIN.left) / (bottom - MARGIN.top));
     const sx = scale(xAxis, MARGIN.left, right);
     const sy = scale(yAxis, bottom, MARGIN.top);
     legend(host, [...lines.map((s) => ({ ...s, points: null, band: Boolean(s.low) })), ...points.map((s) => ({ ...s, points: s }))]);

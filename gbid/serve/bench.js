@@ -180,7 +180,7 @@
     for (const each of charts) Charts.draw(...each);
     const [unit, factor] = shownIn(shown.orbit?.unit);
     const orbit = shown.orbit && {
-      x: { label: `x [${unit}]` }, y: { label: `y [${unit}]` },
+      equal: true, x: { label: `x [${unit}]` }, y: { label: `y [${unit}]` },
       series: [{ name: "p, its last 1500 samples", style: 0, x: shown.orbit.x.map((v) => v * factor), y: shown.orbit.y.map((v) => v * factor) }],
     };
     draw("orbit", "Orbit", orbit, "There are no two columns of p.");
