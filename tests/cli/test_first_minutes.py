@@ -54,7 +54,7 @@ def test_help_lists_the_verbs_in_groups_with_whole_sentences(capsys):
     assert "..." not in text.partition("Start:")[2]
     for verb, command in COMMANDS.items():
         assert bool(re.search(rf"^  {verb} +\w", text, re.MULTILINE)) != command.hidden, verb
-    assert sum(not command.hidden for command in COMMANDS.values()) == 18
+    assert sum(not command.hidden for command in COMMANDS.values()) == 19
     assert COMMANDS.keys() >= set(CALLED)
     assert "\n    gbid new rig1 " in text
 

@@ -134,7 +134,8 @@ def test_a_budget_ends_with_limits_that_hold_or_an_honest_status(law, cap, evalu
     A search of 2000 designs ends with a biquad that keeps its limit, and with no PID that does.
     """
     A, B, C, D = np.array([[0.0, 300.0], [300.0, 0.0]]), np.array([[0.0], [300.0]]), np.eye(1, 2), np.zeros((1, 1))
-    structure = gbid.controller_structure(law, axes=("",))
+    options = {"kd_limit_ms": 3.0} if law == "PID" else {}
+    structure = gbid.controller_structure(law, axes=("",), **options)
     goals = [MaxDamping(), PeakSensitivity(cap)]
     result = gbid.tune(gbid.LinearModel(A, B, C, D), structure, goals=goals, evaluations=evaluations)
     assert (result.status, result.keeps_limits) == (GainStatus.ITERATION_LIMIT, kept)

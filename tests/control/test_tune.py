@@ -272,7 +272,7 @@ def test_pareto_front_rises_and_holds_the_papers_design() -> None:
         with pytest.raises(UsageError, match="above 1"):
             gbid.pareto(MODEL, [cap])
     mass = gbid.LinearModel([[0, 1], [-400.0, -2.0]], [[0], [400.0]], [[1.0, 0]], [[0.0]])
-    law = gbid.controller_structure("PD", axes=("",))
+    law = gbid.controller_structure("PD", axes=("",), kd_limit_ms=3.0)
     front = gbid.pareto([mass, mass], [1.3, 1.8], controller=law)
     assert front.values[0] < front.values[1]
     assert front.designs[0].peak_sensitivity == pytest.approx(1.3, rel=1e-3)

@@ -43,7 +43,7 @@ controller:
   servo:
     structure: PD
     lowpass_hz: 100
-    options: {axes: ["1", "2"]}
+    options: {axes: ["1", "2"], kd_limit_ms: 3.0}
     model: free
     inputs: [u_left, u_right]
     outputs: [y_a, y_b]
@@ -81,7 +81,7 @@ def test_controllers_of_a_fit_from_the_command_line(experiment, capsys):
     results = experiment.parent / "results" / "masses"
     fits = {f"free_{name}": gbid.load(results / "fits" / "free" / f"{name}.h5") for name in ("one", "two")}
     assert designs["servo"]["plant"] == "free"
-    structure = controller_structure("PD", axes=("1", "2"), lowpass_hz=100)
+    structure = controller_structure("PD", axes=("1", "2"), lowpass_hz=100, kd_limit_ms=3.0)
     channels = {"inputs": ["u_left", "u_right"], "outputs": ["y_a", "y_b"]}
     goals = [MaxDamping(), PeakSensitivity(2.6)]
     by_hand = gbid.tune(fits, structure, goals=goals, sample_time=1e-3, **channels)

@@ -254,7 +254,7 @@ def test_draws_have_the_stated_covariance_and_positive_delays():
     narrow = np.array([m.coefficients["k_xx"][0] for m in fit.draw(200, seed=2)])
     assert wide.std() > narrow.std()
     hopeless = replace(fit, covariance=fit.covariance * 1e8)
-    with pytest.raises(UsageError, match="too uncertain to draw"):
+    with pytest.raises(UsageError, match="coefficients are too uncertain"):
         hopeless.draw(10, seed=0)
 
 

@@ -173,7 +173,11 @@ def test_rig_staircases_give_the_models_static_gain(speed):
         (lambda rec: characterise_staircase(rec, keep=0.0), UsageError, "keep = 0"),
         (lambda rec: characterise_staircase(rec, keep=0.01), DataError, "steady samples"),
         (lambda rec: characterise_staircase(rec, command="v"), DataError, "no signal 'v'"),
-        (lambda rec: characterise_staircase(rec.with_signals(r=0 * rec.signal("r"))), DataError, "does not move"),
+        (
+            lambda rec: characterise_staircase(rec.with_signals(r=0 * rec.signal("r"))),
+            DataError,
+            "is constant; a staircase",
+        ),
         (
             lambda rec: characterise_staircase(
                 rec.with_signals(

@@ -234,7 +234,7 @@ def test_run_out_alike_after_half_a_turn_is_not_sure():
     alignment = align_index(made, table(only_second, seed=2))
     assert not alignment.sure
     assert abs(abs(alignment.offset - alignment.next_best) - np.pi) < 0.01
-    with pytest.raises(DataError, match="cannot be found from the run-out"):
+    with pytest.raises(DataError, match="does not determine the missing index"):
         alignment.apply(table(only_second))
 
 
