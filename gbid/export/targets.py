@@ -180,8 +180,8 @@ def _learn_of(design: ControllerDesign, request: ExportRequest, options: ChainOp
     fits = {name: plant for name, plant in _plants_of(design, request).items() if type(plant).__name__ == "FitResult"}
     if len(fits) != 1:
         raise UsageError(
-            f"--learn: controller {design.name!r} was designed for {', '.join(fits) or 'no fit'}; recursive estimates "
-            "begin with one fit of the plant from r to p, for which the controller is tuned (plant: of the controller)"
+            f"--learn: controller {design.name!r} was designed for {', '.join(fits) or 'no fit'}; tune it for one fit "
+            "from r to p: fits: {NAME: {structure: plant, together: true, ...}}, controller: {...: {model: NAME, ...}}"
         )
     return RecursiveFit(
         next(iter(fits.values())),
