@@ -111,7 +111,7 @@ class RecursiveResult(Brief, Pictured):
         Parameters and their units.
     time_s : (n,) array
         Times of the estimates [s].
-    parameters, std : (n, n_parameters) array
+    estimates, std : (n, n_parameters) array
         Estimates and standard deviations.
     excited : (n, n_parameters) array of bool
         Whether the dither determines the parameter; else its standard deviation is about that of the prior.
@@ -126,7 +126,7 @@ class RecursiveResult(Brief, Pictured):
     names: tuple[str, ...]
     units: tuple[str, ...]
     time_s: FloatArray
-    parameters: FloatArray
+    estimates: FloatArray
     std: FloatArray
     excited: np.ndarray
     modes: FloatArray
@@ -137,8 +137,7 @@ class RecursiveResult(Brief, Pictured):
 
     def _brief(self) -> Description:
         rows = {
-            name: f"{v:.6g} +- {s:.2g}"
-            for name, v, s in zip(self.names, self.parameters[-1], self.std[-1], strict=True)
+            name: f"{v:.6g} +- {s:.2g}" for name, v, s in zip(self.names, self.estimates[-1], self.std[-1], strict=True)
         }
         return brief(self, f"{self.time_s[-1]:g} s", dither=self.dither, alarm=bool(self.alarm.any()), **rows)
 
@@ -149,8 +148,8 @@ class RecursiveResult(Brief, Pictured):
             [name, first, last, std, unit, "yes" if excited else "no"]
             for name, first, last, std, unit, excited in zip(
                 self.names,
-                self.parameters[0],
-                self.parameters[-1],
+                self.estimates[0],
+                self.estimates[-1],
                 self.std[-1],
                 self.units,
                 self.excited[-1],

@@ -776,7 +776,7 @@ def plot_recursive_fit(result: RecursiveResult, ax: Axes | Sequence[Axes] | None
     _, axes = panels(ax, n, 1, size=(TWO_COLUMNS, 0.6 + 1.1 * n))
     for i, (panel, name) in enumerate(zip(axes, result.names, strict=False)):
         factor, unit = unit_label(result.units[i])
-        value, width = factor * result.parameters[:, i], quantile(LEVEL) * factor * result.std[:, i]
+        value, width = factor * result.estimates[:, i], quantile(LEVEL) * factor * result.std[:, i]
         color = series(0)["color"]
         for mask, shade in ((result.excited[:, i], color), (~result.excited[:, i], GREY)):
             panel.fill_between(

@@ -28,11 +28,11 @@ def recursion(parameters=FOUR, **options) -> gbid.RecursiveFit:
 
 def test_a_step_of_five_percent_is_found_to_half_a_percent_within_one_and_a_half_seconds() -> None:
     result = recursion().run(in_loop(2.4, changes=(0.0, 0.05), at=(0.5, 0.5002)))
-    share = result.parameters[:, 0] / TRUTH["k_xx"] - 1
+    share = result.estimates[:, 0] / TRUTH["k_xx"] - 1
     assert (np.abs(share - 0.05) < 0.005)[result.time_s > 2.0].all()
     assert (np.abs(share) < 0.01)[(result.time_s > 0.3) & (result.time_s < 0.5)].all()
     assert result.excited[-1].all()
-    assert np.abs(result.parameters[-1, 1] / TRUTH["k_yy"] - 1) < 4 * result.std[-1, 1] / abs(TRUTH["k_yy"])
+    assert np.abs(result.estimates[-1, 1] / TRUTH["k_yy"] - 1) < 4 * result.std[-1, 1] / abs(TRUTH["k_yy"])
     assert result.dither == pytest.approx((0.2e-6, 0.2e-6))
     assert [row[0] for row in result.tables()[0].rows] == list(FOUR)
     assert len(gbid.report.plot_recursive_fit(result)) == 4
@@ -42,7 +42,7 @@ def test_without_dither_no_estimate_moves_and_deviations_are_those_of_the_prior(
     """Each other sample has an effect on the predictor; over an hour the same zeros are added."""
     fit = recursion()
     result = fit.run(in_loop(0.6, dither=0.0))
-    assert (result.parameters == fit.start).all()
+    assert (result.estimates == fit.start).all()
     assert not result.excited.any()
     np.testing.assert_allclose(result.std[-1], fit.prior_std, rtol=1e-3)
 
@@ -74,7 +74,7 @@ def test_outliers_and_faulty_samples_do_little() -> None:
     p[2000] += 1e-6  # 33 standard deviations of the noise
     spoilt = gbid.Recording({**recording.signals, "p": p}, 2e-4, conditions={"speed_rpm": 6000.0}, name="spoilt")
     ends = [recursion().run(each) for each in (recording, spoilt)]
-    assert (np.abs(ends[1].parameters[-1] - ends[0].parameters[-1]) < ends[0].std[-1]).all()
+    assert (np.abs(ends[1].estimates[-1] - ends[0].estimates[-1]) < ends[0].std[-1]).all()
     fit = recursion()
     before = fit.values
     fit.update(LearnSample((np.nan, np.nan), (0.0, 0.0), (0.0, 0.0), is_good=False))
@@ -88,8 +88,8 @@ def test_unbalance_as_two_parameters_leaves_stiffness_alone() -> None:
     result = fit.run(recording)
     late = result.time_s > 2.0
     for i, name in enumerate(FOUR):
-        assert abs(result.parameters[late, i].mean() - TRUTH[name]) < 2.0 * result.std[late, i].mean(), name
-    e = result.parameters[late][:, 4:].mean(axis=0)
+        assert abs(result.estimates[late, i].mean() - TRUTH[name]) < 2.0 * result.std[late, i].mean(), name
+    e = result.estimates[late][:, 4:].mean(axis=0)
     np.testing.assert_allclose(e, 0.1e-6 * np.array([np.cos(0.7), np.sin(0.7)]), atol=0.005e-6)
 
 
@@ -100,7 +100,7 @@ def test_the_gain_of_the_observer_gives_no_bias(memory_s: float) -> None:
     for seed in range(8):
         result = recursion(memory_s=memory_s).run(in_loop(3.0, seed=seed))
         late = result.time_s > 1.5
-        means.append(result.parameters[late].mean(axis=0) - [TRUTH[name] for name in FOUR])
+        means.append(result.estimates[late].mean(axis=0) - [TRUTH[name] for name in FOUR])
         stds.append(result.std[late].mean(axis=0))
     bias = np.mean(means, axis=0) / np.mean(stds, axis=0)
     assert (np.abs(bias) < 0.8).all(), bias  # 0.3, and twice its scatter over eight seeds
