@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
-from gbid.cli.options import CommonOptions, ExperimentPath, complete_source, with_options
+from gbid.cli.options import (
+    CommonOptions,
+    ExperimentPath,
+    MeasuredFolder,
+    complete_source,
+    drafted_folder,
+    with_options,
+)
 from gbid.core.errors import UsageError
 from gbid.export.targets import TARGETS, ExportRequest, export_target
 
@@ -82,9 +89,7 @@ def new(
 
 @with_options("debug")
 def init(
-    measured: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
-    ],
+    measured: MeasuredFolder,
     options: CommonOptions,  # noqa: ARG001
     folder: Annotated[
         Path | None,
@@ -123,7 +128,7 @@ def init(
     from gbid.recording.mapping import TextOptions
     from gbid.recording.roles import ROLES
 
-    folder = folder or Path(f"{measured.resolve().name}-experiment")
+    folder = drafted_folder(measured, folder)
     refuse_used(folder)
     layout: Any = (encoding, decimal, delimiter, header_line)
     kinds = dict(_pair("--kind", text) for text in kind or ())

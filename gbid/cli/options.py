@@ -38,6 +38,14 @@ complete_source = files_ending(".yaml", ".yml", ".h5")
 
 _EXPERIMENT: Any = {"metavar": "EXPERIMENT", "help": "The experiment YAML.", "show_default": False}
 ExperimentPath = Annotated[Path, typer.Argument(autocompletion=complete_experiment, **_EXPERIMENT)]
+MeasuredFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
+]
+
+
+def drafted_folder(measured: Path, folder: Path | None) -> Path:
+    """Return the folder of the experiment for a folder of recordings; by default FOLDER-experiment, here."""
+    return folder or Path(f"{measured.resolve().name}-experiment")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gbid.cli.options import STAGE_VERBS, CommonOptions, ExperimentPath, with_options
+from gbid.cli.options import STAGE_VERBS, CommonOptions, ExperimentPath, MeasuredFolder, drafted_folder, with_options
 
 
 def stage_verb(name: str) -> Callable[..., None]:
@@ -198,9 +198,7 @@ _PORT = typer.Option("--port", metavar="N", help="Port of this machine; 0 for an
 
 @with_options("debug")
 def open_folder(
-    measured: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
-    ],
+    measured: MeasuredFolder,
     options: CommonOptions,  # noqa: ARG001
     folder: Annotated[
         Path | None,
@@ -215,7 +213,7 @@ def open_folder(
     from gbid.cli.printing import tell_line
     from gbid.serve import open_bench
 
-    server, bench = open_bench(measured, folder or Path(f"{measured.resolve().name}-experiment"), port, tell_line)
+    server, bench = open_bench(measured, drafted_folder(measured, folder), port, tell_line)
     with server:
         typer.echo(f"open: {server.address}")
         if browser:

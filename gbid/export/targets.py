@@ -175,9 +175,10 @@ def _balance_of(design: ControllerDesign, request: ExportRequest) -> BalanceWhil
 
 def _learn_of(design: ControllerDesign, request: ExportRequest, options: ChainOptions) -> RecursiveFit:
     """Return the recursive estimates beside a design, from the fit for which it was made."""
+    from gbid.identify import FitResult
     from gbid.online.recursive import RecursiveFit
 
-    fits = {name: plant for name, plant in _plants_of(design, request).items() if type(plant).__name__ == "FitResult"}
+    fits = {name: plant for name, plant in _plants_of(design, request).items() if isinstance(plant, FitResult)}
     if len(fits) != 1:
         raise UsageError(
             f"--learn: controller {design.name!r} was designed for {', '.join(fits) or 'no fit'}; tune it for one fit "
